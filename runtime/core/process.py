@@ -127,10 +127,7 @@ def update(
         OperatorError: an operator raised.
     """
     hierarchy = active.hierarchy
-    sensing = tuple(hierarchy.order if sensing_order is None else sensing_order)
-    prediction = tuple(reversed(hierarchy.order) if prediction_order is None else prediction_order)
-    _check_order(hierarchy, sensing)
-    _check_order(hierarchy, tuple(reversed(prediction)))
+    sensing, prediction = check_orders(hierarchy, sensing_order, prediction_order)
     epoch = active.epoch + 1
     world = active.states[hierarchy.world]
     time_s = epoch_time_s(hierarchy.world, hierarchy.world_node, world.belief, epoch)
@@ -141,6 +138,17 @@ def update(
     for name in prediction:
         states[name] = _predicted(updated, name, epoch, time_s)
     return updated
+
+
+def check_orders(
+    hierarchy: Hierarchy, sensing_order: Sequence[str] | None, prediction_order: Sequence[str] | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Both orders of `update`, those by default in the place of None. Raises `ValueError` if one is wrong."""
+    sensing = tuple(hierarchy.order if sensing_order is None else sensing_order)
+    prediction = tuple(reversed(hierarchy.order) if prediction_order is None else prediction_order)
+    _check_order(hierarchy, sensing)
+    _check_order(hierarchy, tuple(reversed(prediction)))
+    return sensing, prediction
 
 
 def _check_order(hierarchy: Hierarchy, upward: Sequence[str]) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.loading.allowance import Allowance
@@ -256,11 +257,18 @@ class Deployment:
     document: Document = field(repr=False, compare=False)  # where everything stands in the file
     view: ViewSpec = ViewSpec()  # how a viewer shows it
     processes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by name, the nodes that share one
+    rates: Rates = NO_RATES  # how often nodes take part, and how much later predictions count
+    rated_at: Keys = ()  # where the file says the first thing of that
 
     @property
     def allowance(self) -> Allowance:
         """Which code may be loaded."""
         return Allowance(self.modules)
+
+    def refuse_rates(self, whose: str) -> None:
+        """Raise `DeploymentError` where the file has rates: `whose` does not know them, and would do something else."""
+        if self.rates:
+            raise self.document.error(self.rated_at, f"rates are for 'hierax run' alone; {whose} does not know them")
 
     def place(self, where: str) -> str:
         """``file:line`` of a path such as ``nodes.world.class``, or the ``--set`` that gave it."""

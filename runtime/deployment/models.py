@@ -28,6 +28,9 @@ EDGE_PATTERN = r"^\s*\S+\s*->\s*\S+\s*$"
 MAX_STALENESS = 8
 """Held messages bound it; more would only be a longer wait for what comes."""
 
+MAX_EPOCHS_APART = 10_000
+"""From a node's turn to its next one, and from a prediction to where it counts."""
+
 _MODULES = re.compile(MODULES_PATTERN)
 _EXPECTED = {
     "int_type": "a whole number",
@@ -174,6 +177,8 @@ class NodeModel(RestartModel):
         "how long it may be at work in an epoch: more is counted and told, nothing else; by default the world's period",
         None,
     )
+    every: int = _field("it takes part in one of so many epochs", 1, ge=1, le=MAX_EPOCHS_APART)
+    offset: int = _field("in which of them: in epochs n with n % every = offset", 0, ge=0)
     scheduling: SchedulingModel | None = _field("how the system is asked to run its thread, in a launch", None)
 
 
@@ -195,6 +200,10 @@ class EdgeModel(_Model):
     sense: Function = _field("from the lower node's belief to the upper one's observations", None)
     task: Function = _field("from the upper node's actions to the lower one's tasks", None)
     context: Function = _field("from the upper node's belief to the lower one's context", None)
+    delay: int = _field("after how many epochs context and tasks count below", 0, ge=0, le=MAX_EPOCHS_APART)
+    gather: bool = _field(
+        "the upper node has all observations since its last epoch, as pairs of epoch and observation", False
+    )
 
 
 class ProbeModel(_Model):

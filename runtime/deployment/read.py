@@ -25,6 +25,7 @@ from hierax.runtime.deployment.deployment import (
 )
 from hierax.runtime.deployment.models import first_error
 from hierax.runtime.deployment.parameters import apply_override, substitute
+from hierax.runtime.deployment.rates import rated_keys, rates_of
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.loading.nearest import did_you_mean
@@ -82,6 +83,8 @@ def deployment_of(document: Document, path: Path) -> Deployment:
         document=document,
         view=_view(model.view),
         processes=_processes(model, document),
+        rates=rates_of(model, document),
+        rated_at=next(iter(rated_keys(model)), ()),
         **{name: getattr(model, name) for name in _AS_SAID},
     )
 

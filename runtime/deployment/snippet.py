@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from hierax.runtime.deployment.deployment import Deployment, DeploymentError, Document, ProcessTerms, inside
 from hierax.runtime.deployment.models import SnippetModel, first_error, split_edge
 from hierax.runtime.deployment.parameters import substitute
+from hierax.runtime.deployment.rates import rated_keys
 from hierax.runtime.deployment.read import node_terms, read_document, roster_edges, roster_nodes
 from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.loading.nearest import did_you_mean
@@ -127,6 +128,8 @@ def _checked(document: Document) -> SnippetModel:
         raise first_error(error, document, root, SnippetModel) from error
     if not model.nodes:
         raise document.error(("nodes",), "expected at least one node")
+    for keys in rated_keys(model)[:1]:
+        raise document.error(keys, "rates are for whole deployments; a node that joins a run has none")
     for edge in model.edges or {}:
         if not model.nodes.keys() & set(split_edge(edge)):
             names = " or ".join(map(repr, sorted(model.nodes)))

@@ -13,7 +13,8 @@ MAX_POLICIES = 64  # of how many policies of a node every one is called
 
 
 def run_dry(deployment: Deployment) -> int:
-    """Do the first epoch in this process, from the initial beliefs: sense up, then predict down.
+    """Do the first epoch in this process, from the initial beliefs: sense up, then predict down; where nodes take part
+    in some epochs only, so many that each did once.
 
     No actuator is moved, no probe is told, and nothing is written. Policies that were not chosen are called, too, as
     are the metrics. Gives the number of calls of operators and edge functions; without an epoch, as the world has
@@ -26,7 +27,7 @@ def run_dry(deployment: Deployment) -> int:
         runners[name] = runner
         runner.watch(counter)
 
-    single.run(replace(deployment, probes=()), epochs=1, seed=0, watch=watch, acts=False)
+    single.run(replace(deployment, probes=()), epochs=deployment.rates.first_turns, seed=0, watch=watch, acts=False)
     return len(runners) + counter.calls + sum(_call_other_policies(runner) for runner in runners.values())
 
 

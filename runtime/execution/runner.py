@@ -14,9 +14,11 @@ from hierax.runtime.core.binding import metrics_of
 from hierax.runtime.core.digest import elements_cannot_travel
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import OperatorError
+from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Verdict
 from hierax.runtime.engine.wiring import Wiring
@@ -103,6 +105,7 @@ class NodeRunner(EngineEffects):
         world: World | None = None,  # at the world's node; None at others
         *,
         staleness: Staleness = BARRIER,  # of the deployment
+        rates: Rates = NO_RATES,  # of the deployment; with them nothing is saved, and nobody joins
         saved: Saved | None = None,  # as `Engine` has it
         joins: bool = False,  # likewise
     ) -> None:
@@ -114,7 +117,9 @@ class NodeRunner(EngineEffects):
         self._completed: list[Completed] = []
         self._committed: Committed | None = None
         self.engine: Engine
-        if staleness.barrier:
+        if rates:
+            self.engine = RatedEngine(wiring, self, rates=rates)
+        elif staleness.barrier:
             self.engine = Engine(wiring, self, saved=saved, joins=joins)
         else:
             self.engine = StaleEngine(wiring, self, saved=saved, joins=joins, staleness=staleness)

@@ -93,6 +93,12 @@ class SingleRun:
         acts: bool = True,  # whether the world moves its actuators
         turn: Callable[[str], None] | None = None,  # told whose turn it is, before it
     ) -> None:
+        if record is not None:
+            deployment.refuse_rates("a recording")
+        if schedule:
+            deployment.refuse_rates("a change (--at)")
+        if any(terms.fails_alone for terms in deployment.terms.values()):
+            deployment.refuse_rates("'on_loss: detach'")
         if output is not None:
             write_roster(output, deployment.roster)
         self._deployment, self._seed, self._output, self._record = deployment, seed, output, record
@@ -254,6 +260,7 @@ class _Nodes(Host):
 
     def ask(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
         """Have the roster change with the next epoch; where epochs overlap, the one under way has to be drained."""
+        self.deployment.refuse_rates("a change of a run")
         world = self.runners[self._world].engine
         overlaps = world.phase is not Phase.DONE and not self.deployment.staleness.barrier
         epoch = world.epoch + 1 + overlaps
@@ -314,6 +321,7 @@ class _Nodes(Host):
             self,
             self._begins if name == self._world else None,
             staleness=self.deployment.staleness,
+            rates=self.deployment.rates,
             saved=saved,
             joins=joins,
         )

@@ -67,6 +67,7 @@ def launch(
     SIGTERM or SIGHUP broke it off, all processes gone; before all nodes were up `KeyboardInterrupt`.
     """
     begun_s = time.perf_counter()
+    deployment.refuse_rates("a launch")
     with ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
         if state is None:

@@ -44,7 +44,7 @@ class Hierarchy:
         Args:
             name: of the node.
             of: its class, or a function annotated to return a node.
-            fields: what else a deployment file says of a node: ``on_loss``, ``max_restarts``, ``rate_hz``, ….
+            fields: what else a deployment file says of a node: ``on_loss``, ``rate_hz``, ``every``, ….
         """
         if name in self._nodes:
             raise HierarchyError(f"there is a node {name!r} already")
@@ -64,16 +64,24 @@ class Hierarchy:
         sense: Code | None = None,
         task: Code | None = None,
         context: Code | None = None,
+        **fields: Any,
     ) -> "Hierarchy":
-        """An edge, with φ, ψ and ϱ; one that is None gives the empty set. Raises `HierarchyError` as `add` does."""
+        """An edge, with φ, ψ and ϱ; one that is None gives the empty set. Raises `HierarchyError` as `add` does.
+
+        Args:
+            lower, upper: names of the nodes.
+            sense, task, context: the functions.
+            fields: what else a deployment file says of an edge: ``delay``, ``gather``.
+        """
         edge = f"{lower} -> {upper}"
         if edge in self._edges:
             raise HierarchyError(f"there is an edge {edge!r} already")
-        self._edges[edge] = {
+        functions = {
             kind: _function(given, f"edge {edge!r}, {kind}")
             for kind, given in zip(FUNCTIONS, (sense, task, context), strict=True)
             if given is not None
         }
+        self._edges[edge] = {**functions, **fields}
         return self
 
     def probe(self, node: str, of: Code) -> "Hierarchy":
@@ -90,7 +98,7 @@ class Hierarchy:
 
     def targets(self) -> list[str]:
         """All that it names, as ``module:name``."""
-        functions = [function for edge in self._edges.values() for function in edge.values()]
+        functions = [edge[kind] for edge in self._edges.values() for kind in FUNCTIONS if kind in edge]
         named_so = [each if isinstance(each, str) else each["function"] for each in functions]
         return [each["class"] for each in (*self._nodes.values(), *self._probes)] + named_so
 

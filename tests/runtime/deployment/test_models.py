@@ -54,7 +54,8 @@ def test_what_is_no_edge(edge: str) -> None:
 
 
 def test_fields_by_path() -> None:
-    assert field_names(("nodes", "world"))[-5:] == ("class", "parameters", "rate_hz", "budget_ms", "scheduling")
+    last = ("class", "parameters", "rate_hz", "budget_ms", "every", "offset", "scheduling")
+    assert field_names(("nodes", "world"))[-7:] == last
     assert field_names(("nodes", "world"))[:-5] == field_names(("restart",))
     assert field_names((), SnippetModel) == ("nodes", "edges")
     assert field_names(("edges", "a -> b"), SnippetModel) == ("sense", "task", "context")

@@ -68,7 +68,7 @@ def test_one_value_is_changed(override: str, path: list[str | int], value: objec
         ("nodes.world.clas=3", "there is no 'clas' in nodes.world; did you mean 'class'?"),
         (
             "nodes.world.step=3",
-            "there is no 'step' in nodes.world; expected one of budget_ms, class, max_restart_delay, ",
+            "there is no 'step' in nodes.world; expected one of budget_ms, class, every, max_restart_delay, ",
         ),
         ("nodes.world.max_restart=3", "there is no 'max_restart' in nodes.world; did you mean 'max_restarts'?"),
         ("restart.max_restart=3", "there is no 'max_restart' in restart; did you mean 'max_restarts'?"),

@@ -258,7 +258,7 @@ MISTAKES = [
         "{class: support.toy_nodes:Summer}",
         "{class: a:b, noise: 1}",
         "  left:",
-        "nodes.left.noise: unknown field; expected one of budget_ms, class, max_restart_delay, ",
+        "nodes.left.noise: unknown field; expected one of budget_ms, class, every, max_restart_delay, ",
     ),
     (
         "{class: support.toy_nodes:Summer}",

@@ -1,0 +1,55 @@
+"""What a deployment file may say of rates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hierax.runtime.core.rates import NO_RATES, Rates, Turns
+from hierax.runtime.deployment.deployment import DeploymentError
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.deployment.snippet import read_attach
+
+EDGE = "edges.camera -> motion"
+
+
+def test_rates_are_by_node_and_edge() -> None:
+    said = ["nodes.motion.every=4", "nodes.motion.offset=3", f"{EDGE}.delay=2", f"{EDGE}.gather=true"]
+    pair = ("camera", "motion")
+    expected = Rates({"motion": Turns(4, 3)}, {pair: 2}, frozenset({pair}))
+    assert read_deployment("servo", said).rates == expected
+    assert read_deployment("servo").rates == NO_RATES
+    assert read_deployment("servo", said).roster == read_deployment("servo").roster
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        (["nodes.motion.every=0"], "expected at least 1, got"),
+        (["nodes.motion.every=2.5"], "expected a whole number"),
+        (["nodes.motion.offset=1"], "nodes.motion.offset: expected less than every, 1, got 1"),
+        (["nodes.world.every=2"], "nodes.world.every: the world takes part in every epoch; expected 1, got 2"),
+        ([f"{EDGE}.delay=-1"], "expected at least 0, got"),
+        (["edges.world -> camera.gather=yes please"], "expected true or false"),
+        ([f"{EDGE}.sense=null", f"{EDGE}.gather=true"], "means something only with a function 'sense'"),
+        (["nodes.motion.every=2", "staleness=1"], "nodes.motion.every: goes with a staleness of 0 only"),
+        ([f"{EDGE}.delay=2", "staleness=null"], "delay: goes with a staleness of 0 only"),
+    ],
+)
+def test_what_means_nothing_is_told_in_a_line(settings: list[str], what: str) -> None:
+    with pytest.raises(DeploymentError) as raised:
+        read_deployment("servo", settings)
+    assert what in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("node", ["every: 2", "every: 3, offset: 1"])
+def test_nodes_that_join_a_run_have_no_rates(tmp_path: Path, node: str) -> None:
+    snippet = tmp_path / "more.yaml"
+    snippet.write_text(
+        f'nodes:\n  more: {{class: "hierax.nodes.servo:MotionNode", {node}}}\n'
+        "edges:\n  camera -> more: {sense: hierax.nodes.servo:position}\n"
+    )
+    with pytest.raises(DeploymentError, match=r"more\.yaml:2: nodes\.more\.every: rates are for whole deployments"):
+        read_attach(snippet, read_deployment("servo"))

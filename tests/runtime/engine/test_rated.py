@@ -1,0 +1,141 @@
+"""Hierarchies with rates: the engine, the formal model and the direct implementation come to the same."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.direct import Direct
+from support.hierarchies import random_hierarchy, random_order
+from support.rated import RatedNetwork, random_rates
+from support.sweep import examples
+
+from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.core.digest import encode_state
+from hierax.runtime.core.errors import ContradictionError
+from hierax.runtime.core.process import ActiveHierarchy, update
+from hierax.runtime.core.rates import NO_RATES, Rates, Turns
+from hierax.runtime.core.unrolled import Unrolled, unrolled_update
+from hierax.runtime.engine.rated import RatedEngine
+from hierax.runtime.engine.wiring import Slot
+from hierax.schemas.messages import Message
+
+EPOCHS = 12
+
+seeds = st.integers(0, 2**32)
+
+
+@settings(max_examples=examples(60, 600))
+@given(seeds, seeds, seeds)
+def test_any_order_of_delivery_gives_what_the_direct_implementation_gives(one: int, two: int, order: int) -> None:
+    hierarchy = random_hierarchy(one, setting=OperatorSetting(seed=order))
+    rates = random_rates(two, hierarchy)
+    direct = Direct(hierarchy, rates)
+    network = RatedNetwork(hierarchy, rates, order, doubling=0.2)
+    network.run(EPOCHS)
+    for name, done in network.done.items():
+        assert [epoch for epoch, _, _ in done] == direct.turns(name, EPOCHS)
+        for epoch, state, digest in done:
+            assert state == encode_state(*direct.after(name, epoch)), (name, epoch)
+            assert digest == direct.digest(name, epoch), (name, epoch)
+    assert network.commits == [direct.digest(hierarchy.world, epoch) for epoch in range(1, EPOCHS + 1)]
+
+
+@settings(max_examples=examples(60, 600))
+@given(seeds, seeds, st.integers(0, 2**32).map(random.Random))
+def test_any_order_of_the_formal_update_gives_the_same(one: int, two: int, rng: random.Random) -> None:
+    hierarchy = random_hierarchy(one)
+    rates = random_rates(two, hierarchy)
+    direct, now = Direct(hierarchy, rates), Unrolled.initial(hierarchy, rates)
+    for epoch in range(1, EPOCHS + 1):
+        now = unrolled_update(now, random_order(rng, hierarchy), random_order(rng, hierarchy)[::-1])
+        for name, state in now.active.states.items():
+            assert encode_state(*state) == encode_state(*direct.after(name, epoch)), (name, epoch)
+            assert now.digests.get(name, bytes(32)) == direct.digest(name, epoch)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_without_rates_it_is_the_update_of_the_paper(seed: int) -> None:
+    hierarchy = random_hierarchy(seed)
+    plain, unrolled = ActiveHierarchy.initial(hierarchy), Unrolled.initial(hierarchy, NO_RATES)
+    network = RatedNetwork(hierarchy, NO_RATES, seed)
+    for _ in range(4):
+        plain, unrolled = update(plain), unrolled_update(unrolled)
+    network.run(4)
+    states = {name: encode_state(*state) for name, state in plain.states.items()}
+    assert {name: encode_state(*state) for name, state in unrolled.active.states.items()} == states == network.states()
+
+
+def test_turns_are_the_epochs_of_a_remainder() -> None:
+    assert [epoch for epoch in range(1, 13) if Turns(5, 2).include(epoch)] == [2, 7, 12]
+    assert [Turns(5, 2).last(epoch) for epoch in (-4, 0, 1, 2, 6, 7)] == [0, 0, 0, 2, 2, 7]
+    assert [Turns(3).last(epoch) for epoch in (-3, 0, 2, 3, 5)] == [0, 0, 0, 3, 3]
+    rates = Rates({"b": Turns(3)}, {("a", "b"): 4})
+    assert [rates.in_force("a", "b", epoch) for epoch in range(1, 14)] == [0, 0, 0, 0, 0, 0, 3, 3, 3, 6, 6, 6, 9]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_two_messages_that_differ_are_noticed_while_the_first_may_count(seed: int) -> None:
+    hierarchy = random_hierarchy(seed, 3)
+    rates = Rates(delays=dict.fromkeys(hierarchy.bound_edges, 3))
+    network = RatedNetwork(hierarchy, rates, seed)
+    network.world.begin()
+    for _ in range(200):
+        if not network.under_way:
+            network.world.begin()
+        message = network.under_way.pop(0)
+        network.engines[message.header.receiver].receive(message)
+        if message.header.digest:
+            with pytest.raises(ContradictionError, match="say different things"):
+                network.engines[message.header.receiver].receive(Message(message.header, ("something else",)))
+            return
+    raise AssertionError("no context was ever sent")
+
+
+def _newest(engine: RatedEngine, slot: Slot) -> Message | None:
+    kept = engine._kept.get(slot, {})
+    return kept[max(kept)] if kept else IN_FORCE(engine, slot)
+
+
+def _forgets(engine: RatedEngine) -> None:
+    engine._gathered.clear()
+    GATHER(engine)
+
+
+def _senses_in_turns_alone(rates: Rates, lower: str, upper: str, epoch: int) -> bool:
+    return IS_SENSED(rates, lower, upper, epoch) and rates.takes_part(lower, epoch)
+
+
+def _counts_at_once(rates: Rates, lower: str, upper: str, epoch: int) -> int:
+    return IN_FORCE_SINCE(Rates(rates.turns), lower, upper, epoch)
+
+
+def _counts_one_later(rates: Rates, lower: str, upper: str, epoch: int) -> int:
+    return IN_FORCE_SINCE(rates, lower, upper, epoch - 1)
+
+
+IN_FORCE, GATHER = RatedEngine._in_force, RatedEngine._gather
+IS_SENSED, IN_FORCE_SINCE = Rates.is_sensed, Rates.in_force
+MISTAKES = {
+    "the newest in hand counts": (RatedEngine, "_in_force", _newest),
+    "what was gathered in other epochs is forgotten": (RatedEngine, "_gather", _forgets),
+    "who has no turn is not observed": (Rates, "is_sensed", _senses_in_turns_alone),
+    "delays are left out": (Rates, "in_force", _counts_at_once),
+    "all counts one epoch later": (Rates, "in_force", _counts_one_later),
+    "every node takes part in every epoch": (Rates, "takes_part", lambda *_: True),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_planted_mistake_is_found(mistake: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(*MISTAKES[mistake])
+    for seed in range(40):
+        hierarchy = random_hierarchy(seed, 5)
+        direct = Direct(hierarchy, random_rates(seed, hierarchy))
+        network = RatedNetwork(hierarchy, direct.rates, seed)
+        network.run(EPOCHS)
+        if network.commits != [direct.digest(hierarchy.world, epoch) for epoch in range(1, EPOCHS + 1)]:
+            return
+    raise AssertionError("no seed has found it")
