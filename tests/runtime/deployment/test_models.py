@@ -56,9 +56,9 @@ def test_what_is_no_edge(edge: str) -> None:
 def test_fields_by_path() -> None:
     last = ("class", "parameters", "rate_hz", "budget_ms", "every", "offset", "scheduling")
     assert field_names(("nodes", "world"))[-7:] == last
-    assert field_names(("nodes", "world"))[:-5] == field_names(("restart",))
+    assert field_names(("nodes", "world"))[:-7] == field_names(("restart",))
     assert field_names((), SnippetModel) == ("nodes", "edges")
-    assert field_names(("edges", "a -> b"), SnippetModel) == ("sense", "task", "context")
+    assert field_names(("edges", "a -> b"), SnippetModel) == ("sense", "task", "context", "delay", "gather")
     assert field_names(("nodes",)) == ()
     assert field_names(("nodes", "world", "parameters")) == ()
     assert field_meaning(("world",)) == "which node is the external world"
