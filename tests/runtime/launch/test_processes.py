@@ -175,3 +175,20 @@ def test_options_that_mean_nothing_are_refused(
         launch.end()
     assert launch.process.returncode != 0
     assert is_told(launch.err), launch.err
+
+
+def test_a_process_that_hangs_is_killed_with_all_its_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("support.live.DEPLOYMENT", TOGETHER)
+    live = Live(tmp_path, "--set", "epoch_deadline_s=2", pace_s=0.01)
+    try:
+        before = pids(live)
+        os.kill(before["low"], signal.SIGSTOP)
+        until(lambda: pids(live)["low"] not in (None, before["low"]), "another process")
+        live.goes_on()
+        after = live.run["nodes"]
+        assert after["low"]["pid"] == after["high"]["pid"]
+        assert after["world"]["restarts"] == 0
+        live.is_repeated_by()
+        assert len([line for line in live.launch.err if "started again" in line]) == 1
+    finally:
+        live.close()
