@@ -17,7 +17,7 @@ from hierax.runtime.commands.options import Format, OutputFormat, option
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders, meant
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, OUTPUT, SUFFIX
+from hierax.runtime.watch.logs import AUDIT, LAUNCH, LAUNCH_FILE, OUTPUT, SUFFIX
 
 Entry = dict[str, Any]
 
@@ -88,9 +88,11 @@ class LogFilter:
 
 
 class Reader:
-    """Reads the files of a launch's logs, again and again, each time what is new. `folder`: of the launch."""
+    """Reads the files of a launch's logs, again and again, each time what is new. `folder`: of the launch; `audit`:
+    whether who changed what is read, in place of all else."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, audit: bool = False) -> None:
+        self._audit = audit
         self._logs = folder / LOGS
         self._places: dict[int, int] = {}
 
@@ -98,13 +100,16 @@ class Reader:
     def names(self) -> list[str]:
         """Who has a log: nodes, and ``launch``."""
         files = {path.name.removesuffix(SUFFIX) for path in self._logs.glob(f"*{SUFFIX}")}
-        return sorted({LAUNCH if name == LAUNCH_FILE else name for name in files if not name.startswith(OUTPUT)})
+        return sorted(
+            {LAUNCH if name == LAUNCH_FILE else name for name in files if not name.startswith((OUTPUT, AUDIT))}
+        )
 
     def read(self) -> list[Entry]:
         """What was written since the last time, in order of time."""
         entries: list[Entry] = []
         for path in sorted(self._logs.glob(f"*{SUFFIX}*"), reverse=True):  # what was put aside before what was not
-            entries += self._read(path)
+            if path.name.startswith(AUDIT) == self._audit:
+                entries += self._read(path)
         return sorted(entries, key=_time)
 
     def _read(self, path: Path) -> Iterator[Entry]:
@@ -182,6 +187,7 @@ def logs(
     since: Annotated[str | None, option("--since")] = None,
     grep: Annotated[str | None, option("--grep")] = None,
     follow: Annotated[bool, option("--follow", "-f")] = False,
+    audit: Annotated[bool, option("--audit")] = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show the log of a launch: of all its processes, in order of time. JSON is one object a line."""
@@ -191,13 +197,13 @@ def logs(
         since=None if since is None else read_since(since, datetime.now(timezone.utc)),
         pattern=None if grep is None else read_pattern(grep),
     )
-    for entry in _entries(find_folder(run), log_filter, follow):
+    for entry in _entries(find_folder(run), log_filter, follow, audit):
         print(json.dumps(entry) if output_format is Format.json else line(entry), flush=follow)
     return 0
 
 
-def _entries(folder: Path, log_filter: LogFilter, follow: bool) -> Iterator[Entry]:
-    reader = Reader(folder)
+def _entries(folder: Path, log_filter: LogFilter, follow: bool, audit: bool) -> Iterator[Entry]:
+    reader = Reader(folder, audit)
     unknown = [name for name in log_filter.nodes if name not in reader.names]
     if unknown and not follow:  # else it may come yet
         known = did_you_mean(unknown[0], reader.names, "there are those of")

@@ -17,6 +17,7 @@ LARGEST = 2**63 - 1  # what a message can carry
 _WORDS = """
 --at EPOCH:CHANGE: Change the roster at the start of an epoch: EPOCH:attach:FILE, EPOCH:detach:NODE[:cascade] or
     EPOCH:replace:NODE:FILE. May be given several times.
+--audit: Who changed what, or tried to, and who was not let in, in place of all else.
 --cascade: Also what only this node joins to the world.
 --check: Check the formal order while it runs. Exit code 1 where it is broken.
 --connect ENDPOINT: The launch on another machine: the endpoint that `hierax launch --host` prints.

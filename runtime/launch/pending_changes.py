@@ -1,6 +1,6 @@
 """The changes of a launch's roster that were asked for, and what became of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import anyio
@@ -19,6 +19,7 @@ class PendingChange:
 
     terms: Mapping[str, ProcessTerms]  # what is done when the processes of its new nodes end
     proposal: bytes  # what the owner is told
+    told: Callable[[Mapping[str, Value]], None]  # told once what became of it
     done: anyio.Event = field(default_factory=anyio.Event)  # set when the owner has answered
     answer: dict[str, Value] = field(default_factory=dict)  # what became of it, as a reply
 
@@ -37,11 +38,16 @@ class PendingChanges:
     def proposals(self) -> Sequence[bytes]:
         return [change.proposal for change in self.unanswered]
 
-    def add(self, proposal: Propose, terms: Mapping[str, ProcessTerms]) -> None:
+    def add(
+        self,
+        proposal: Propose,
+        terms: Mapping[str, ProcessTerms],
+        told: Callable[[Mapping[str, Value]], None] = lambda answer: None,
+    ) -> None:
         answered = [request for request, change in self._changes.items() if change.done.is_set()]
         for request in answered[: max(len(answered) - REMEMBERED, 0)]:
             del self._changes[request]
-        self._changes[proposal.request] = PendingChange(terms, encode_control(proposal))
+        self._changes[proposal.request] = PendingChange(terms, encode_control(proposal), told)
 
     def terms(self, request: str) -> Mapping[str, ProcessTerms]:
         change = self._changes.get(request)
@@ -59,6 +65,7 @@ class PendingChanges:
             return None
         change.answer = {"refusal": refusal} if refusal else {"epoch": epoch}
         change.done.set()
+        change.told(change.answer)
         return change.terms
 
     async def wait(self, request: str) -> Value:

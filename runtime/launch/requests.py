@@ -12,6 +12,7 @@ import anyio.from_thread
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import RATELESS
+from hierax.runtime.launch.audit import Audit, asker
 from hierax.runtime.launch.child import ProcessState
 from hierax.runtime.launch.frames import NEWCOMER
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
@@ -53,13 +54,15 @@ class Requests:
     """Answers queries; each is a map, as is the reply.
 
     ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "terms", "here"}`` is answered with
-    ``{"epoch"}``, the first one under the changed roster when it is committed, or ``{"refusal"}``. With ``here`` the
+    ``{"epoch"}``, the first one under the changed roster when it is committed, or ``{"refusal"}``; ``by`` says who
+    asks, for the audit. With ``here`` the
     processes of new nodes are kept by who asks: the answer is ``{"request", "orders"}``, what they are to be started
     with, and ``{"ask": "await", "request"}`` is answered in the end. ``{"ask": "record", "pid"}`` says that a process,
     0 for one on another machine, is about to record; the answer is the fields of a `RunInfo`."""
 
-    def __init__(self, processes: RosterSupervisor) -> None:
+    def __init__(self, processes: RosterSupervisor, audit: Audit | None = None) -> None:
         self._processes = processes
+        self._audit = audit  # what is told of changes, made and refused
         self._changes = processes.changes
         self._refusals = Refusals()
         self._beginning = 0
@@ -118,7 +121,23 @@ class Requests:
 
     async def _change_if_room(self, query: dict[str, Any]) -> Value:
         """So many changes at once, and no more: each may need processes, and the owner makes one after the other."""
-        change = read_change(query.get("change"))
+        try:
+            change = read_change(query.get("change"))
+        except SchemaError as error:
+            if self._audit is not None:
+                self._audit.refused(str(error), asker(query))
+            raise
+        try:
+            return await self._begin_if_room(change, query)
+        except (HieraxError, SchemaError) as error:
+            self._settled(change, asker(query), {"refusal": str(error)})
+            raise
+
+    def _settled(self, change: Change, by: str, answer: Mapping[str, Value]) -> None:
+        if self._audit is not None:
+            self._audit.settled(change, by, answer)
+
+    async def _begin_if_room(self, change: Change, query: dict[str, Any]) -> Value:
         new = len(new_nodes(change))
         if new > MAX_NEW_NODES:
             raise HieraxError(f"a change of {new} new nodes: at most {MAX_NEW_NODES} come at once")
@@ -155,7 +174,7 @@ class Requests:
             {name: float(each.rejoin_timeout_s) for name, each in terms.items()},
             tuple(sorted(name for name, each in terms.items() if each.fails_alone)),
         )
-        self._changes.add(proposal, terms)
+        self._changes.add(proposal, terms, partial(self._settled, change, asker(query)))
         orders = [
             processes.orders.order(
                 name, token_hex(8), NEWCOMER, request=request, reference=reference, terms=terms[name]

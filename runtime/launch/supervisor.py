@@ -19,6 +19,7 @@ from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.timing import timing_of
 from hierax.runtime.host.run_secret import new_secret
+from hierax.runtime.launch.audit import Audit
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
@@ -30,6 +31,7 @@ from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, register, warning_of
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
+from hierax.runtime.watch.doors import overheard
 from hierax.runtime.watch.logs import begin_log
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Roster
@@ -145,6 +147,7 @@ class Supervisor:
         self._tasks = anyio.create_task_group()
         self._processes = RosterSupervisor(self._tasks, orders, hub, self._notify, self._break)
         self._log = begin_log(orders.run_id, deployment.name, deployment.path, notify, lambda: self._processes.epoch)
+        self._audit = Audit(orders.run_id, lambda: self._processes.epoch)
 
     async def run(self, begun_s: float) -> None:
         """Do all of the launch. `begun_s`: when it began, by `time.perf_counter`."""
@@ -155,15 +158,20 @@ class Supervisor:
         warning = warning_of(endpoint, self._hub.secret)
         if warning:
             self._notify(warning)
+        self._audit.begun(str(self._deployment.path.resolve()), endpoint, warning)
         if self._orders.options.host:
             key = f" --key {key_path(self._orders.run_id)}" if self._hub.secret else ""
             self._notify(f"others join with --connect {endpoint}{key}")
+        with overheard(self._audit.refused_link):
+            await self._watched(begun_s)
+
+    async def _watched(self, begun_s: float) -> None:
         async with self._tasks:
             self._tasks.start_soon(self._watch_signals)
             try:
                 await self._start_recorder()
                 await self._start_all()
-                async with Requests(self._processes).served(self._hub):
+                async with Requests(self._processes, self._audit).served(self._hub):
                     await self._until_finished(begun_s)
                 if self._graceful is None:
                     await self._collect()
@@ -180,6 +188,7 @@ class Supervisor:
         over = "the run is over" if self._why is None else "the run is broken off"
         how = "" if self._why is None else " by a signal" if self._is_interrupted else f": {self._why}"
         self._log.close(f"{over}{how}")
+        self._audit.close(f"{over}{how}")
         members = self._processes.members.items()
         reasons = {token: f"{name}: {over}" for name, token in members if self._processes.child(token) is None}
         self._hub.dismiss_all(reasons)

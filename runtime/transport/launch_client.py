@@ -5,6 +5,7 @@ there waits for slow receivers, and a tool that its user has stopped would hold 
 are dropped where they cannot go at once (`hierax.runtime.transport.control`).
 """
 
+import os
 import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -122,7 +123,7 @@ class LaunchClient:
         """Have the roster change, with terms of new nodes' processes; what the launch answers when the change counts,
         or at once, where its processes are kept `here`. Raises `AnswerError` if it is refused."""
         told = {name: vars(each) for name, each in terms.items()}
-        question = {"ask": "change", "change": change.plain(), "terms": told, "here": here, "host": host}
+        question = {"ask": "change", "change": change.plain(), "terms": told, "here": here, "host": host, "by": _self()}
         return self.ask(question, CHANGE_TIMEOUT_S)
 
     def edges(self, status: LaunchStatus) -> list[tuple[str, str]]:
@@ -222,6 +223,11 @@ class LaunchClient:
                 return Keys(hierarchy, run)
             time.sleep(LOOK_AGAIN_S)
         raise TransportError(f"the launch at {self.endpoint} does not answer")
+
+
+def _self() -> str:
+    """Who asks for a change, for the launch's audit."""
+    return f"user {os.getuid()} on {socket.gethostname()}, process {os.getpid()}"
 
 
 def _hint(endpoint: str, secret: str) -> str:

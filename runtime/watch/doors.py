@@ -53,6 +53,19 @@ class Doors:
             self._tell(f"refused {who}: it has no {lacks} of this run{often}")
 
 
+_listeners: list[Callable[[str], None]] = []
+
+
+@contextmanager
+def overheard(by: Callable[[str], None]) -> Iterator[None]:
+    """Have somebody told too of who is refused, while this lasts; from a thread of `watched`."""
+    _listeners.append(by)
+    try:
+        yield
+    finally:
+        _listeners.remove(by)
+
+
 @contextmanager
 def watched(tell: Callable[[str], None]) -> Iterator[None]:
     """Have who is refused told while this lasts, in a thread of its own."""
@@ -60,7 +73,7 @@ def watched(tell: Callable[[str], None]) -> Iterator[None]:
     reading, writing = os.pipe()
     os.dup2(writing, 1)
     os.close(writing)
-    doors = Doors(tell)
+    doors = Doors(lambda what: _tell_all(what, tell))
 
     def read() -> None:
         with open(reading, "rb") as lines:
@@ -78,3 +91,8 @@ def watched(tell: Callable[[str], None]) -> Iterator[None]:
         reader.join(1.0)  # a process that has got the pipe from this one may hold it open
         if not reader.is_alive():
             os.close(before)
+
+
+def _tell_all(what: str, tell: Callable[[str], None]) -> None:
+    for each in (tell, *_listeners):
+        each(what)

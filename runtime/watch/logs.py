@@ -39,6 +39,7 @@ MAX_BYTES = 4 << 20  # A file that has grown larger is put aside, in the place o
 SUFFIX = ".jsonl"
 LAUNCH = "launch"  # the supervisor's name among those of nodes
 LAUNCH_FILE = f"_{LAUNCH}"  # its file's name, which no node's can have
+AUDIT = "_audit"  # of the file of who changed what, or tried to
 
 OUTPUT = "_output-"
 """How the name of a file begins in which a supervisor writes what libraries and programs of its nodes print."""
@@ -259,12 +260,13 @@ class LaunchLog:
     run: str
     epoch: Callable[[], int]
 
-    def write(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch") -> None:
+    def write(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch", **more: Any) -> None:
+        """Write a line; `more` are fields of its own."""
         if self.handler is None:
             return
         fields = {"name": logger, "levelno": logging.INFO, "levelname": "INFO", "msg": message}
         where = {"run": self.run, "node": node, "epoch": self.epoch(), "attempt": 0}
-        self.handler.handle(logging.makeLogRecord({**fields, **where}))
+        self.handler.handle(logging.makeLogRecord({**more, **fields, **where}))
 
     def close(self, message: str = "") -> None:
         """Write a last line, if there is one to be written."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.attacks import Outcome, attacked, order_for
@@ -145,3 +147,50 @@ def test_who_was_refused_is_told_with_the_address_in_few_lines(live: Live) -> No
     told = [line for line in live.launch.err if "refused 127.0.0.1:" in line]
     assert 3 <= len(told) < 8, told
     assert not any("zenoh" in line for line in live.launch.err), live.launch.err
+
+
+def test_who_changed_what_is_written_down_for_its_user_alone(live: Live, tmp_path: Path) -> None:
+    path = live.snippet("top", "high")
+    epoch = live.change("attach", path)
+    assert live.hierax("attach", path).returncode == 1
+    live.change("detach", "top")
+    assert live.hierax("detach", "nobody").returncode == 1
+    with LaunchClient(live.endpoint, secret=live.secret) as client:
+        for odd in (
+            {"change": 7},
+            {"change": {"change": "detach", "name": "low", "cascade": False}, "by": "a\x1b[2Jb"},
+        ):
+            with pytest.raises(HieraxError):
+                client.ask({"ask": "change", **odd})
+    attack(live, {"a wrong key": new_secret()}, tmp_path)
+    live.launch.says("it has no key of this run")
+    file = run_folder(live.run["run"]) / "logs" / "_audit.jsonl"
+    assert file.stat().st_mode & 0o777 == 0o600
+    told = until(lambda: [line for line in audited(live) if "no key of this run" in line["message"]], "who was refused")
+    assert told[0]["outcome"] == "refused"
+    changes = [line for line in audited(live) if "by" in line]
+    outcomes = [(line.get("change"), line.get("nodes"), line["outcome"].partition(":")[0]) for line in changes]
+    assert outcomes[:2] == [("attach", "top", f"at epoch {epoch}"), ("attach", "top", "refused")]
+    assert [each[:2] for each in outcomes[2:]] == [
+        ("detach", "top"),
+        ("detach", "nobody"),
+        (None, None),
+        ("detach", "low"),
+    ]
+    assert {each[2] for each in outcomes[3:]} == {"refused"}
+    assert changes[0]["by"].startswith(f"user {os.getuid()} on ")
+    assert changes[0]["details"]["nodes"]["top"]
+    assert changes[-1]["by"] == "somebody who does not say who it is"
+    assert "\x1b" not in file.read_text(encoding="utf-8")
+    assert not any(line["logger"] == "hierax.audit" for line in logged(live))
+    live.ends()
+    assert audited(live)[-1]["message"] == "the run is over"
+
+
+def logged(live: Live, *arguments: str) -> list[dict[str, Any]]:
+    said = live.hierax("logs", "--format", "json", *arguments)
+    return [json.loads(line) for line in said.stdout.splitlines()]
+
+
+def audited(live: Live) -> list[dict[str, Any]]:
+    return logged(live, "--audit")
