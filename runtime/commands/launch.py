@@ -84,12 +84,15 @@ def _launched(options: RunOptions, file: str | None, goes_on: bool = False) -> i
 
 def _placed(processes: int | None, traffic: Path | None, deployment: "Deployment", **given: Any) -> "Report":
     """Launch a deployment, in so many processes where that is said."""
+    from hierax.runtime.deployment.hosts import check_together
     from hierax.runtime.deployment.partition import cut
     from hierax.runtime.launch import supervisor
 
     if processes is not None:
         passed = None if traffic is None else _traffic(traffic, deployment)
         deployment = replace(deployment, processes=cut(deployment.roster, processes, passed))
+        if apart := check_together(deployment.processes, deployment.placed):
+            raise CommandError(f"--processes: {apart}; name them under `processes` of the file")
     return supervisor.launch(deployment, **given)
 
 

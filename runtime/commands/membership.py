@@ -151,16 +151,17 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
         space = "\n" if number else ""
         print(f"{space}{each['hierarchy']}, run {each['run']}: epoch {each['epoch']}, roster version {each['roster']}")
         nodes = by_process(each["nodes"])
-        shared = ("process",) if any(node.get("shares") for node in nodes.values()) else ()
+        shown = {"process": "shares", "node": "", "state": "state", "host": "host", "pid": "pid"}
+        shown |= {"instance": "instance", "restarts": "restarts"}
+        for column in ("process", "host"):
+            if not any(node.get(shown[column]) for node in nodes.values()):
+                del shown[column]
         rows = [
-            (
-                *(node["shares"] for _ in shared),
-                *(name, node["state"], str(node["pid"] or ""), str(node["instance"]), str(node["restarts"])),
-            )
+            tuple(name if not key else "" if node[key] is None else str(node[key]) for key in shown.values())
             for name, node in nodes.items()
         ]
-        columns: dict[str, dict[str, Any]] = {**{name: {} for name in shared}, "node": {}, "state": {}}
-        print_table({**columns, "pid": RIGHT, "instance": RIGHT, "restarts": RIGHT}, rows)
+        figures = ("pid", "instance", "restarts")
+        print_table({column: RIGHT if column in figures else {} for column in shown}, rows)
 
 
 def deployment_at(launch: Meant, file: str | None) -> "Deployment":

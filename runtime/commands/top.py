@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from hierax.runtime.transport.launch_client import LaunchClient
 
 _TIMES = ("observe", "policy", "predict", "edges", "act", "other", "waiting")
-_COLUMNS = ("process", "node", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
+_COLUMNS = ("process", "node", "host", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
 _DISPENSABLE = ("state", "other", "cpu")
-_LEFT = ("process", "node", "state", "for")
+_LEFT = ("process", "node", "host", "state", "for")
 WIDE, NARROW = 140, 100
 """Widths of a terminal, from which columns have space between them, and below which some are left out."""
 
@@ -111,8 +111,9 @@ def headline(look: Mapping[str, Any]) -> str:
 def table(look: Mapping[str, Any], width: int = WIDE) -> "Table":
     """The nodes of a launch as rows: times are per epoch. On a narrow terminal, some columns are left out."""
     acts = any((node.get("per_epoch_us") or {}).get("act") for node in look["nodes"].values())
-    shares = any(node.get("shares") for node in look["nodes"].values())
-    left_out = {name for name, is_there in (("act", acts), ("process", shares)) if not is_there}
+    shares, hosts = (any(node.get(what) for node in look["nodes"].values()) for what in ("shares", "host"))
+    told = (("act", acts), ("process", shares), ("host", hosts))
+    left_out = {name for name, is_there in told if not is_there}
     shown = [column for column in _COLUMNS if column not in left_out]
     if width < NARROW:
         shown = [column for column in shown if column not in _DISPENSABLE]
@@ -124,7 +125,8 @@ def table(look: Mapping[str, Any], width: int = WIDE) -> "Table":
 
 def _cells(name: str, node: Mapping[str, Any]) -> dict[str, str]:
     """A node's row, by heading."""
-    cells = {"process": node.get("shares", ""), "node": name, "restarts": str(node["restarts"])}
+    cells = {"process": node.get("shares", ""), "node": name, "host": node.get("host", "")}
+    cells["restarts"] = str(node["restarts"])
     if not node["answers"]:
         state = node["state"] if node["state"] != "running" else "no answer"
         return {**cells, "state": state, "for": state}

@@ -222,6 +222,24 @@ class ProcessTerms:
 
 
 @dataclass(frozen=True)
+class Host:
+    """A machine on which nodes run."""
+
+    name: str  # by which the deployment file calls it
+    ssh: tuple[str, ...] = ()  # what `ssh` is told to reach it: options, and the destination; empty: this machine
+    python: str = "python3"  # the command there that has hierax; `~` is the user's home there
+    folder: str = ""  # there, where the deployment's own modules are, and processes run; empty: the user's home
+    address: str = ""  # at which the other hosts reach it; empty: that at which ssh has reached it
+    labels: Mapping[str, Value] = field(default_factory=dict)  # by which nodes are placed on it
+    fallback: str = ""  # the host that has its nodes' next processes when it is lost; empty: they wait for it
+    lost_after_s: float = 10.0  # how long nothing is heard of it until it is lost
+
+    @property
+    def is_here(self) -> bool:
+        return not self.ssh
+
+
+@dataclass(frozen=True)
 class ViewSpec:
     """How a viewer shows a deployment; no part of the run."""
 
@@ -259,6 +277,8 @@ class Deployment:
     processes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by name, the nodes that share one
     rates: Rates = NO_RATES  # how often nodes take part, and how much later predictions count
     rated_at: Keys = ()  # where the file says the first thing of that
+    hosts: Mapping[str, Host] = field(default_factory=dict)  # the machines on which a launch may run nodes, by name
+    placed: Mapping[str, str] = field(default_factory=dict)  # by node, the host on which it runs; others run here
 
     @property
     def allowance(self) -> Allowance:

@@ -31,6 +31,8 @@ MAX_STALENESS = 8
 MAX_EPOCHS_APART = 10_000
 """From a node's turn to its next one, and from a prediction to where it counts."""
 
+LOCAL = "local"  # in the place of a host that is this machine
+
 _MODULES = re.compile(MODULES_PATTERN)
 _EXPECTED = {
     "int_type": "a whole number",
@@ -88,6 +90,21 @@ def _like(pattern: str) -> WithJsonSchema:
 def _written_out(value: Any) -> Any:
     """The short form of a function, its name alone, in full."""
     return {"function": value} if isinstance(value, str) else value
+
+
+def _host(value: Any) -> Any:
+    """A host's short form in full."""
+    if not isinstance(value, str):
+        return {} if value is None else value
+    if value != LOCAL:
+        raise ValueError(f"expected {LOCAL!r}, or a map with ssh, got {value!r:.60}")
+    return {}
+
+
+def _where(value: Any) -> Any:
+    if not isinstance(value, (str, dict)):
+        raise ValueError(f"expected a host's name, or a map of labels, got {value!r:.60}")
+    return value
 
 
 def _zenoh(value: Any) -> Any:
@@ -216,6 +233,24 @@ class ProbeModel(_Model):
     parameters: Parameters = _field("keyword arguments of the class", {})
 
 
+class HostModel(_Model):
+    """A machine on which nodes run; without `ssh` it is the one that launches."""
+
+    ssh: str | None = _field(
+        "what `ssh` is told to reach it, options first: pi@robot, or -p 2222 pi@robot; null: this machine", None
+    )
+    python: str = _field("the command there that has hierax, such as ~/venv/bin/python", "python3", min_length=1)
+    folder: str | None = _field(
+        "there, where the deployment's own modules are, and processes run; null: the user's home", None
+    )
+    address: str | None = _field("at which the other hosts reach it; null: that at which ssh has reached it", None)
+    labels: dict[str, str | bool | int | float] = _field("by which nodes are placed on it", {})
+    fallback: str | None = _field("the host that has its nodes when it is lost; null: they wait until it is back", None)
+    lost_after_s: Positive = _field(
+        "for how many seconds nothing is heard of it until it is lost", 10.0, alias="lost_after"
+    )
+
+
 class ViewModel(_Model):
     """What `hierax view` shows of the deployment, beside what each node shows of itself."""
 
@@ -228,6 +263,13 @@ class ViewModel(_Model):
 
 
 Processes = Annotated[dict[ProcessName, list[str]], _none_as_empty(dict[ProcessName, list[str]])]
+HostName = Annotated[str, AfterValidator(lambda name: check_name(name, "host's name")), _like(NAME_PATTERN)]
+Hosts = Annotated[
+    dict[HostName, Annotated[HostModel, BeforeValidator(_host, json_schema_input_type=Literal["local"] | HostModel)]],
+    _none_as_empty(dict[HostName, Literal["local"] | HostModel]),
+]
+Where = Annotated[Any, AfterValidator(_where), WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
+Place = Annotated[dict[NodeName, Where], _none_as_empty(dict[NodeName, Where])]
 Edges = Annotated[dict[EdgeName, EdgeModel], _none_as_empty(dict[EdgeName, EdgeModel])]
 Probes = Annotated[list[ProbeModel], _none_as_empty(list[ProbeModel])]
 ModuleList = Annotated[list[Modules], _none_as_empty(list[Modules])]
@@ -289,6 +331,10 @@ class DeploymentModel(_Model):
     processes: Processes = _field(
         "by its name, the nodes that share a process, where * stands for any letters; any other has one of its own", {}
     )
+    hosts: Hosts = _field(
+        "the machines on which `hierax launch` runs nodes, by name; `local`: the one that launches", {}
+    )
+    place: Place = _field("by node, the host that it runs on, or labels that the host has; others run here", {})
     view: Views = _field("how `hierax view` shows it; no part of the run", ViewModel())
     zenoh: ZenohSettings = _field("Zenoh's own settings: a file (relative to this one), JSON5 text, or a map", None)
 
@@ -329,6 +375,7 @@ _MODELS: dict[tuple[str | int, int], type[_Model]] = {
     ("edges", 3): FunctionModel,
     ("probes", 2): ProbeModel,
     ("restart", 1): RestartModel,
+    ("hosts", 2): HostModel,
     ("view", 1): ViewModel,
 }
 """What stands at a path, by its first key and how many there are."""

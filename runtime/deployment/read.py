@@ -23,6 +23,7 @@ from hierax.runtime.deployment.deployment import (
     import_paths,
     read_text,
 )
+from hierax.runtime.deployment.hosts import check_together, hosts_of, placed_on
 from hierax.runtime.deployment.models import first_error
 from hierax.runtime.deployment.parameters import apply_override, substitute
 from hierax.runtime.deployment.rates import rated_keys, rates_of
@@ -69,6 +70,10 @@ def deployment_of(document: Document, path: Path) -> Deployment:
     roster = _roster(model, document)
     restart = process_terms(model.restart, ProcessTerms(), document, ("restart",))
     staleness = _staleness(model, document)
+    hosts = hosts_of(model, document)
+    processes, placed = _processes(model, document), placed_on(model, hosts, document)
+    if apart := check_together(processes, placed):
+        raise document.error(("place",), apart)
     return Deployment(
         path=path,
         name=model.hierarchy,
@@ -82,9 +87,11 @@ def deployment_of(document: Document, path: Path) -> Deployment:
         import_paths=import_paths(path),
         document=document,
         view=_view(model.view),
-        processes=_processes(model, document),
         rates=rates_of(model, document),
         rated_at=next(iter(rated_keys(model)), ()),
+        processes=processes,
+        hosts=hosts,
+        placed=placed,
         **{name: getattr(model, name) for name in _AS_SAID},
     )
 

@@ -8,7 +8,7 @@ from hierax.runtime.core.errors import ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.execution.output_folder import Log
+from hierax.runtime.execution.output_folder import EpochLog
 from hierax.runtime.watch.watcher import Watcher
 
 
@@ -18,7 +18,7 @@ class Observers:
     What must lack no epoch, wherever the process dies, is written before the checkpoint and what is sent: the state
     log, and what prompt probes see. Other probes and watchers are served when nobody waits for this node."""
 
-    def __init__(self, name: str, probes: Sequence[Probe] = (), states: Log | None = None) -> None:
+    def __init__(self, name: str, probes: Sequence[Probe] = (), states: EpochLog | None = None) -> None:
         self.watchers: tuple[Watcher, ...] = ()  # who sees what the node does
         self.engine: Engine | None = None  # of the node; None: there is none yet
         self.last: Completed | None = None  # the last epoch that it has completed; None: none yet

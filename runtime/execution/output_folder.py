@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 import msgpack
 
@@ -38,6 +38,16 @@ def write_summary(output: Path, report: Report) -> None:
     summary = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
     with errors_named(output / SUMMARY, kind=OutputError):
         write_result(output / SUMMARY, summary.encode() + b"\n")
+
+
+class EpochLog(Protocol):
+    """Takes the entries of a run's epochs."""
+
+    def write(self, *fields: int | bytes) -> None: ...
+
+    def flush(self) -> None: ...
+
+    def close(self) -> None: ...
 
 
 class Log:

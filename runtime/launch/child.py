@@ -47,7 +47,11 @@ class Overhearing:
 
     def of(self, name: str) -> "Overheard":
         """A pipe for a node's process."""
-        return Overheard(Lines(name, self._out, lambda line: self._write(name, line)))
+        return Overheard(Lines(name, self._out, lambda line: self.note(name, line)))
+
+    def passed_on(self) -> Lines:
+        """What takes in lines that are named already, and shows them as they are."""
+        return Lines("", self._out, lambda line: None)
 
     def close(self) -> None:
         self._out.close()
@@ -55,7 +59,8 @@ class Overhearing:
         if self._log is not None:
             self._log.close()
 
-    def _write(self, name: str, line: str) -> None:
+    def note(self, name: str, line: str) -> None:
+        """Have the log hold a line that a node's process has printed."""
         if self._log is None:  # most nodes say nothing in this way
             self._log = log_of_run(self._run, f"{OUTPUT}{os.getpid()}", self._epoch)
         self._log.write(line, name, CHANNEL)
@@ -144,6 +149,8 @@ class Child:
     culprit: str = ""  # why its supervisor has killed it
     code: int | None = None  # of a node that has ended in a process in which others go on, its exit code
     mates: "list[Child]" = field(default_factory=list)  # all nodes of the process, if it is shared
+    host: str = ""  # the host on which it runs; empty: this one, which has no name
+    gone: str = ""  # how it was lost with its host
 
     @property
     def name(self) -> str:
@@ -218,6 +225,14 @@ class Child:
         """Whether it stands for its process, where nodes share it."""
         return not self.mates or self.mates[0] is self
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether its host says nothing at this moment."""
+        return False
+
+    def release(self) -> None:
+        """Let go of what is held for the node: its process has ended, and another one may come."""
+
     async def close(self) -> None:
         """Give up what the process is held by."""
         if not self.leads:
@@ -247,7 +262,12 @@ class Child:
     @property
     def last_words(self) -> NodeFailedError:
         """Why it has ended: what it said itself, or else how."""
-        return self.failure or NodeFailedError(f"{self.name}: its process ended {how_ended(self.returncode)}")
+        return self.failure or NodeFailedError(f"{self.name}: its process ended {self.how}")
+
+    @property
+    def how(self) -> str:
+        """How it has ended."""
+        return self.gone or how_ended(self.returncode)
 
 
 async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing) -> list[Child]:

@@ -47,6 +47,12 @@ BEAT = "beat"  # status of the world, again and again and when its roster change
 MISSES = "misses"  # status: the link to a process broke, and it has not come back
 NOTE = "note"  # status of the world: people should know
 
+KEEP = "keep"  # status of a process on another host: a record for its checkpoint, which the supervisor has
+KEPT = "kept"  # command, a map: all records up to this number are where they outlive the process
+LOG = "log"  # status of such a process: a line for its log
+APPEND = "append"  # status of such a process: an entry for `STATES` or `DIGESTS` in the output folder
+STATES, DIGESTS = "states", "digests"
+
 BEGIN, COME_BACK, NEWCOMER, TO_REPORT = "begin", "come back", "newcomer", "to report"
 """How a process comes into a run: with it, in the place of a lost one, for a change of the roster, or after its end."""
 
@@ -89,6 +95,10 @@ class NodeOrder:
     proposals: tuple[bytes, ...] = ()  # of the world's process that comes back: control messages for the owner
     alone: tuple[str, ...] = ()  # the nodes of `roster` that fail alone
     recorded: bool = False  # whether somebody records the run, who has to hear the process from its first message on
+    slots: tuple[bytes, ...] | None = None
+    """Of a process on another host than the supervisor, which keeps its checkpoint: what that holds."""
+
+    states: bool = False  # whether such a process tells its states and digests, for the supervisor's output folder
     elsewhere: bool = False  # whether who attaches the node starts the process: its dismissal comes over Zenoh
 
     @property
@@ -115,7 +125,8 @@ class NodeOrder:
         )
         roster = None if value["roster"] is None else Roster.read(value["roster"])
         owner = None if value["owner"] is None else OwnerPolicy(**value["owner"])
-        return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner})
+        slots = None if value["slots"] is None else tuple(value["slots"])
+        return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner, "slots": slots})
 
 
 def frame(value: Value) -> bytes:

@@ -14,7 +14,8 @@ from hierax.runtime.execution.pace import Pace
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.times import TIMES_BYTES, Times
 from hierax.runtime.host.private_files import errors_named, open_private, private_folder
-from hierax.runtime.launch.frames import BEGIN, NodeOrder
+from hierax.runtime.launch.frames import BEGIN, DIGESTS, STATES, NodeOrder, SupervisorPipe
+from hierax.runtime.launch.kept_elsewhere import KeptElsewhere, ToldLog
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
@@ -23,22 +24,24 @@ from hierax.runtime.watch.budget import BUDGET_BYTES, Budget
 _log = logging.getLogger("hierax")
 
 
-def open_observers(order: NodeOrder) -> Observers:
+def open_observers(order: NodeOrder, pipe: SupervisorPipe) -> Observers:
     """The state log and the probes that an order names, open. Raises `HieraxError` if one cannot be opened."""
     output, again = order.output_path, order.life != BEGIN
     probes = open_probes(order.probes, order.name, order.allowance, output, again)
-    return Observers(order.name, probes, state_log(output, order.name, again))
+    states = ToldLog(pipe, STATES) if order.states else state_log(output, order.name, again)
+    return Observers(order.name, probes, states)
 
 
-def open_slots(order: NodeOrder) -> Slots:
-    """Where the node's checkpoints are, or the world's record. Raises `HieraxError` if the file cannot be opened."""
-    return Slots(MappedFile(Path(order.checkpoint), order.durability))
+def open_slots(order: NodeOrder, kept: KeptElsewhere | None) -> Slots:
+    """Where the node's checkpoints are, or the world's record; `kept`: with the supervisor, on another host. Raises
+    `HieraxError` if the file cannot be opened."""
+    return Slots(kept or MappedFile(Path(order.checkpoint), order.durability))
 
 
-def pacemaker_of(order: NodeOrder, publish: Callable[[int, bytes], None]) -> Pacemaker:
+def pacemaker_of(order: NodeOrder, publish: Callable[[int, bytes], None], pipe: SupervisorPipe) -> Pacemaker:
     """The world's, which publishes the digests of its epochs, and writes them where that is wanted."""
     roster_hash = b"" if order.roster is None else order.roster.content_hash()
-    log = digest_log(order.output_path, append=order.life != BEGIN)
+    log = ToldLog(pipe, DIGESTS) if order.states else digest_log(order.output_path, append=order.life != BEGIN)
 
     def on_commit(epoch: int, digest: bytes) -> None:
         publish(epoch, digest)
@@ -66,7 +69,10 @@ def open_budget(order: NodeOrder) -> Budget | None:
 
 
 def _memory(order: NodeOrder, name: str, size: int) -> mmap:
-    """A file beside the checkpoints, of zeros where the run begins."""
+    """A file beside the checkpoints, of zeros where the run begins; on another host than they are, memory of this
+    process alone."""
+    if order.slots is not None:
+        return mmap(-1, size)
     path = Path(order.checkpoint).with_name(Path(name).name)
     with errors_named(path, "opened"), private_folder(path.parent) as folder:
         file = open_private(folder, path.name, os.O_RDWR | os.O_CREAT, path)

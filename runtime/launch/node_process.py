@@ -21,7 +21,8 @@ import anyio.from_thread
 import anyio.to_thread
 
 from hierax.runtime.host.streams import own_output
-from hierax.runtime.launch.frames import FINISH, LEAVE, STOP, Frames, NodeOrder
+from hierax.runtime.launch.frames import FINISH, KEPT, LEAVE, STOP, Frames, NodeOrder
+from hierax.runtime.launch.kept_elsewhere import ToldRecords
 from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.launch.process_home import ProcessHome
 from hierax.runtime.watch.logs import NODE, QUIET, log_console, log_nodes, report_left_out
@@ -83,7 +84,10 @@ async def _main(orders: int, status: int, console: Console) -> int:
     workers = {order.process: NodeWorker(order, status, _wait_in_event_loop, home) for order in nodes}
     name = nodes[0].shares or nodes[0].name
     whens = {order.name: workers[order.process].when for order in nodes}
-    log_nodes(nodes[0].run, name, whens)
+    told = {order.name: log for order in nodes if (log := workers[order.process].log) is not None}
+    if told and name not in told:  # what is none of the nodes' goes by way of the first one
+        told[name] = ToldRecords(workers[nodes[0].process].pipe)
+    log_nodes(nodes[0].run, name, whens, told)
     name_prints(name, console, whens)
     for order in nodes:
         copy_context().run(_say_hello, order)
@@ -182,6 +186,8 @@ def _obey(worker: NodeWorker, command: Value) -> None:
         worker.stop()
     elif command == FINISH:
         worker.finish()
+    elif isinstance(command, dict) and KEPT in command:
+        worker.kept(command[KEPT])
     elif isinstance(command, dict):
         worker.leave(command[LEAVE])
     else:

@@ -26,6 +26,7 @@ from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.host.scheduling import ask_scheduler
 from hierax.runtime.launch import frames
 from hierax.runtime.launch.inspection_server import InspectionServer
+from hierax.runtime.launch.kept_elsewhere import KeptElsewhere, ToldRecords
 from hierax.runtime.launch.member_building import open_budget, open_observers, open_slots, pacemaker_of, preload
 from hierax.runtime.launch.node_loop import ControlQueue, NodeLoop, WorldWatch
 from hierax.runtime.launch.process_home import ProcessHome
@@ -70,6 +71,7 @@ class NodeWorker:
         self._wait = wait  # drives async operators
         self._stopping = threading.Event()
         self._pipe = frames.SupervisorPipe(status, self._stopping.set, order.process, home.saying)
+        self._kept = None if order.slots is None else KeptElsewhere(order.slots, self._pipe)
         self._port: ZenohPort | None = None
         self._declared: list[ControlLine | StepPublisher | InspectionEndpoint] = []
         self._shared: SharedArrays | None = None
@@ -112,6 +114,21 @@ class NodeWorker:
         """Make the node's thread come to its end at once, and report of an epoch; None: of the last one committed."""
         self._leaves, self._epoch = True, epoch
         self.stop()
+
+    def kept(self, number: int) -> None:
+        """All records up to this number are where they outlive the process."""
+        if self._kept is not None:
+            self._kept.kept(number)
+
+    @property
+    def pipe(self) -> frames.SupervisorPipe:
+        """What leads to the supervisor."""
+        return self._pipe
+
+    @property
+    def log(self) -> logging.Handler | None:
+        """What takes the process's log, where the supervisor is on another host; None: a file here."""
+        return None if self._kept is None else ToldRecords(self._pipe)
 
     def begin(self, processes: Mapping[str, str]) -> None:
         """Have the world begin the run: all processes are up, these by node."""
@@ -224,7 +241,7 @@ class NodeWorker:
             endpoint = self._declare(session, keys, most_bytes)
         port.heard = lambda: self._publisher.heard
         self._opens_s = inf
-        observers, slots = open_observers(order), open_slots(order)
+        observers, slots = open_observers(order, self._pipe), open_slots(order, self._kept)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(observers, True)
         self._budget = open_budget(order)
@@ -242,7 +259,7 @@ class NodeWorker:
             if order.owner is not None:
                 with self._home.declaring:
                     publish = epoch_publisher(session, keys)
-                pacemaker = pacemaker_of(order, publish)
+                pacemaker = pacemaker_of(order, publish, self._pipe)
                 member = self._begin_world(order.owner, seat, port, slots, pacemaker)
             else:
                 member = self._begin(seat, port, slots)

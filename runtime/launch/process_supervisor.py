@@ -49,12 +49,16 @@ class ProcessSupervisor(ABC):
 
     async def start_together(self, orders: Sequence[NodeOrder]) -> list[Child]:
         """Start a process that nodes share, and listen to it from now on."""
-        children = await start_process(orders, self.overhearing)
+        children = await self._begin(orders)
         for child in children:
             self._children[child.token] = child
             self._restarts.setdefault(child.name, Restarts(self.terms(child.name)))
         self.tasks.start_soon(self._listen, children)
         return children
+
+    async def _begin(self, orders: Sequence[NodeOrder]) -> list[Child]:
+        """Start the process of some orders, wherever it is to run."""
+        return await start_process(orders, self.overhearing)
 
     async def end_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
         """End every process that is left: first kindly, then not; for the first, each has this time."""
@@ -103,6 +107,7 @@ class ProcessSupervisor(ABC):
     async def _on_ends(self, children: Sequence[Child]) -> None:
         for child in children:
             child.state = ProcessState.ENDED
+            child.release()
             child.ended.set()
         lost = [child for child in children if child.report is None]
         if lost and not self.ending:

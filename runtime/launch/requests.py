@@ -225,9 +225,10 @@ class Requests:
             child = processes.child(token)
             nodes[name] = {
                 "process": token,
-                "pid": None if child is None else child.process.pid,
+                "pid": None if child is None else child.process.pid or None,  # of one elsewhere it may not be known yet
                 "shares": "" if child is None else child.order.shares,
-                "state": _SHOWN.get(processes.state(token), "running"),
+                "host": "" if child is None else child.host,
+                "state": "cut off" if child and child.is_silent else _SHOWN.get(processes.state(token), "running"),
                 "restarts": processes.restarts_of(name),
                 "instance": processes.instances.get(name, 0),
             }

@@ -11,7 +11,8 @@ import anyio.to_thread
 
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.launch import frames
-from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts, how_ended
+from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts
+from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.pending_changes import PendingChanges
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
@@ -35,7 +36,9 @@ SILENCE_S = 1.0  # how long the world's process may say nothing, beyond the epoc
 class RosterSupervisor(ProcessSupervisor):
     """Has a process run for every node of a launch's roster: starts them, and others in their place."""
 
-    def __init__(self, tasks: anyio.abc.TaskGroup, orders: Orders, hub: Hub, notify: Notify, fail: Fail) -> None:
+    def __init__(
+        self, tasks: anyio.abc.TaskGroup, orders: Orders, hub: Hub, hosts: Hosts, notify: Notify, fail: Fail
+    ) -> None:
         super().__init__(tasks, Overhearing(orders.run_id, lambda: self.epoch), orders.terms, notify, fail)
         self.orders = orders  # what the processes are started with
         self.changes = PendingChanges()  # those that others have asked for
@@ -46,6 +49,7 @@ class RosterSupervisor(ProcessSupervisor):
         self.epoch = 0  # the last one committed, likewise
         self.version = 0  # of the roster, likewise
         self.instances: Mapping[str, int] = {}  # by node, its number in the roster, likewise
+        self._hosts = hosts  # where processes are started
         self._hub = hub  # reaches processes that were started elsewhere
         self._world = orders.deployment.roster.world
         self._unreachable: set[str] = set()
@@ -66,6 +70,9 @@ class RosterSupervisor(ProcessSupervisor):
         children = await super().start_together(orders)
         self.current.update({child.name: child for child in children if child.order.life != frames.NEWCOMER})
         return children
+
+    async def _begin(self, orders: Sequence[frames.NodeOrder]) -> list[Child]:
+        return await self._hosts.start(orders, self.overhearing)
 
     async def begin(self, timeout_s: float) -> list[str]:
         """Wait until all processes are up, and have the world begin the run with them; gives the nodes that are late.
@@ -286,6 +293,8 @@ class RosterSupervisor(ProcessSupervisor):
         return self.begun.is_set()
 
     async def _restart(self, children: Sequence[Child]) -> None:
+        for child in children:
+            await self._hosts.ready(child.name)
         if self.ending:
             return
         tokens = {child.name: token_hex(8) for child in children}
@@ -383,7 +392,7 @@ def _told(children: Sequence[Child], coming: Container[str]) -> str:
     if len(children) == 1:
         return f"{first.last_words}" + ("; it is started again" if first.name in coming else "")
     names = ", ".join(sorted(child.name for child in children))
-    why = first.failure or f"its process ended {how_ended(first.returncode)}"
+    why = first.failure or f"its process ended {first.how}"
     left = sorted(child.name for child in children if child.name not in coming)
     after = f", without {', '.join(left)}" if left else ""
     return f"{first.order.shares} ({names}): {why}; it is started again{after}"

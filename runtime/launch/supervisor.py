@@ -23,6 +23,7 @@ from hierax.runtime.launch.audit import Audit
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
+from hierax.runtime.launch.hosts import Hosts, Reached, reached
 from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
@@ -72,6 +73,9 @@ def launch(
     deployment.refuse_rates("a launch")
     with ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
+        found = stack.enter_context(reached(deployment))
+        if found.links and host is None:
+            host = found.address(deployment.hosts.values())
         if state is None:
             state = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hierax-")))
         make_state(state)
@@ -88,7 +92,7 @@ def launch(
         orders.save()
         try:
             opened(hub.endpoint, secret)
-            return anyio.run(_run, orders, roster, hub, notify, recording, begun_s, broken)
+            return anyio.run(_run, orders, roster, hub, found, notify, recording, begun_s, broken)
         except _Interruption as error:
             raise KeyboardInterrupt from error
     raise AssertionError  # pragma: no cover - `with` never swallows
@@ -98,6 +102,7 @@ async def _run(
     orders: Orders,
     roster: Roster,
     hub: Hub,
+    found: Reached,
     notify: Notify,
     recording: RecordingRequest | None,
     begun_s: float,
@@ -108,12 +113,14 @@ async def _run(
     pid, is_open = os.getpid(), deployment.open
     running = Running(orders.run_id, deployment.name, hub.endpoint, pid, path, orders.overrides, is_open)
     register(running, orders.secret)
-    supervisor = Supervisor(orders, roster, hub, notify, recording, broken)
+    hosts = Hosts(deployment, found)
+    supervisor = Supervisor(orders, roster, hub, hosts, notify, recording, broken)
     try:
         await supervisor.run(begun_s)
     finally:
         forget(running)
         supervisor.close()
+        hosts.close()
     return supervisor.report()
 
 
@@ -125,6 +132,7 @@ class Supervisor:
         orders: Orders,
         roster: Roster,
         hub: Hub,
+        hosts: Hosts,
         notify: Notify,
         recording: RecordingRequest | None,
         broken_by: threading.Event | None,
@@ -145,7 +153,8 @@ class Supervisor:
         self._graceful: GracefulEnd | None = None
         self._recorder = None if recording is None else RecorderChild(recording, self._notify)
         self._tasks = anyio.create_task_group()
-        self._processes = RosterSupervisor(self._tasks, orders, hub, self._notify, self._break)
+        self._hosts = hosts  # where processes are started
+        self._processes = RosterSupervisor(self._tasks, orders, hub, hosts, self._notify, self._break)
         self._log = begin_log(orders.run_id, deployment.name, deployment.path, notify, lambda: self._processes.epoch)
         self._audit = Audit(orders.run_id, lambda: self._processes.epoch)
 
@@ -168,6 +177,7 @@ class Supervisor:
     async def _watched(self, begun_s: float) -> None:
         async with self._tasks:
             self._tasks.start_soon(self._watch_signals)
+            self._hosts.serve(self._tasks, self._processes.overhearing, self._notify)
             try:
                 await self._start_recorder()
                 await self._start_all()

@@ -56,7 +56,8 @@ def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[
     nodes: dict[str, Json] = {}
     for name, told in status.nodes.items():
         answer = after.get(name)
-        nodes[name] = {key: told[key] for key in ("state", "pid", "shares", "instance", "restarts") if key in told}
+        shown = ("state", "host", "pid", "shares", "instance", "restarts")
+        nodes[name] = {key: told[key] for key in shown if key in told}
         nodes[name]["answers"] = answer is not None
         if answer is not None:
             said = {key: answer[key] for key in ("pid", "epoch", "rss_bytes", "metrics")}

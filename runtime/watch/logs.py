@@ -145,8 +145,11 @@ def log_node(run: str, node: str, when: When) -> None:
     log_nodes(run, node, {node: when})
 
 
-def log_nodes(run: str, process: str, whens: Mapping[str, When]) -> None:
-    """Have the records of a process go to the files of its nodes, with what is under way there.
+def log_nodes(
+    run: str, process: str, whens: Mapping[str, When], told: Mapping[str, logging.Handler] | None = None
+) -> None:
+    """Have the records of a process go to the files of its nodes, with what is under way there; or, where the files are
+    on another host, to handlers by name.
 
     Where nodes share it, the process has a name, and a file for what is none of theirs: what their own threads say."""
     shares = len(whens) > 1
@@ -164,20 +167,21 @@ def log_nodes(run: str, process: str, whens: Mapping[str, When]) -> None:
 
     logging.setLogRecordFactory(make_with_fields)
     folder = run_folder(run)
-    if not (folder / ABOUT).exists():  # for who keeps processes of a run of another machine here
+    if not told and not (folder / ABOUT).exists():  # for who keeps processes of a run of another machine here
         with suppress(OSError, UnsafeFileError):  # it is told when the file cannot be opened
             begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
     for name in dict.fromkeys((*whens, process)):
-        _log_to(folder, name, shares)
+        handler = told.get(name) if told else open_log(folder / LOGS, name)
+        if handler is not None:
+            _log_to(handler, name if shares else "")
 
 
-def _log_to(folder: Path, name: str, shares: bool) -> None:
+def _log_to(handler: logging.Handler, node: str) -> None:
+    """Have the records of one node go to a handler; of no name: all."""
     root = logging.getLogger()
-    handler = open_log(folder / LOGS, name)
-    if handler is None:
-        return
-    if shares:
-        handler.addFilter(lambda record: getattr(record, "node", "") == name)
+    handler.setFormatter(JsonLine())
+    if node:
+        handler.addFilter(lambda record: getattr(record, "node", "") == node)
     handler.addFilter(_throttle.filter)
     root.addHandler(handler)
     root.setLevel(min(root.level or logging.WARNING, logging.INFO))
@@ -200,6 +204,24 @@ def open_log(folder: Path, name: str) -> logging.Handler | None:
         return None
     handler.setFormatter(JsonLine())
     return handler
+
+
+class ForwardedLog:
+    """A node's file, for the lines that its process makes on another host. `run`, `node`: as `log_node` has them."""
+
+    def __init__(self, run: str, node: str) -> None:
+        folder = run_folder(run) / LOGS
+        self._handler = open_log(folder, node) if folder.is_dir() else None
+        if self._handler is not None:
+            self._handler.setFormatter(logging.Formatter("%(message)s"))
+
+    def write(self, line: str) -> None:
+        if self._handler is not None:
+            self._handler.handle(logging.makeLogRecord({"msg": line}))
+
+    def close(self) -> None:
+        if self._handler is not None:
+            self._handler.close()
 
 
 class _ConsoleLine(logging.Formatter):

@@ -120,16 +120,17 @@ class Live:
     Args:
         folder: for its files; other launches are not seen from within.
         namespace: network namespace that it runs in; empty: this one.
+        more: further lines of the deployment file.
         pace_s: what the world waits in each epoch; the less, the more of the processor goes into epochs.
         options: of ``hierax launch``.
     """
 
-    def __init__(self, folder: Path, *options: str, namespace: str = "", pace_s: float = 0.003) -> None:
+    def __init__(self, folder: Path, *options: str, namespace: str = "", pace_s: float = 0.003, more: str = "") -> None:
         self.folder = folder
         self.namespace = namespace
         self.file = folder / "live.yaml"
         self._stop = folder / "stop"
-        self.file.write_text(DEPLOYMENT.format(stop=self._stop), encoding="utf-8")
+        self.file.write_text(DEPLOYMENT.format(stop=self._stop) + more, encoding="utf-8")
         self._programs: list[Program] = []
         self._client: LaunchClient | None = None
         self._asking: subprocess.Popen[str] | None = None

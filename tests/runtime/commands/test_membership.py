@@ -26,7 +26,7 @@ nodes:
 edges:
   left -> extra: {sense: "support.toy_nodes:seen"}
 """
-NODE = {"process": "ab", "pid": 77, "state": "running", "restarts": 2, "instance": 3}
+NODE = {"process": "ab", "pid": 77, "state": "running", "restarts": 2, "instance": 3, "host": ""}
 
 
 class FakeLaunches:
@@ -257,6 +257,17 @@ def test_ps_lists_all_launches(launches: FakeLaunches, capsys: pytest.CaptureFix
     assert main(["ps", "--run", "bbbb2222", "--format", "json"]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert (run["hierarchy"], run["nodes"]["world"]) == ("letters", NODE)
+
+
+def test_ps_tells_hosts_where_there_are_several(
+    launches: FakeLaunches, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(NODE, "host", "robot")
+    launches.runs("aaaa1111", "tcp/127.0.0.1:1")
+    assert main(["ps"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split() == ["node", "state", "host", "pid", "instance", "restarts"]
+    assert lines[3].split() == ["world", "running", "robot", "77", "3", "2"]
 
 
 def test_ps_tells_of_a_launch_that_does_not_answer(launches: FakeLaunches, capsys: pytest.CaptureFixture[str]) -> None:

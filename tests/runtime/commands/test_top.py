@@ -98,6 +98,19 @@ def test_a_node_that_is_long_in_an_operator_and_one_that_is_silent() -> None:
     assert headline(counting).endswith(", roster version 1; world: passed_over 117, stalls 2")
 
 
+def test_hosts_are_told_where_there_are_several() -> None:
+    from rich.console import Console
+
+    console = Console(width=200)
+    hosts = {"arm": "robot", "top": "", "far": "desk"}
+    nodes = {name: {**LOOK["nodes"][name], "host": host} for name, host in hosts.items()}  # type: ignore[index]
+    with console.capture() as capture:
+        console.print(table({**LOOK, "nodes": nodes}))
+    head, _, arm, top, far = capture.get().splitlines()
+    assert head.split()[:3] == ["node", "host", "state"]
+    assert (arm.split()[1], top.split()[1], far.split()[1]) == ("robot", "restarting", "desk")
+
+
 def test_a_narrow_terminal_shows_what_matters() -> None:
     from rich.console import Console
 

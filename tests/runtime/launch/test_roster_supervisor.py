@@ -10,6 +10,7 @@ import anyio
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.child import Child, ProcessState
 from hierax.runtime.launch.frames import BEAT, FAILED, REPORT, UP, NodeOrder
+from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.transport.hub import Hub
@@ -64,7 +65,7 @@ def supervised(main: Callable[[RosterSupervisor], Awaitable[None]]) -> None:
     async def run() -> None:
         async with anyio.create_task_group() as tasks:
             orders, hub = cast(Orders, FewOrders()), cast(Hub, DeafHub())
-            supervisor = RosterSupervisor(tasks, orders, hub, lambda what: None, fail)
+            supervisor = RosterSupervisor(tasks, orders, hub, cast(Hosts, None), lambda what: None, fail)
             world = Child(cast(NodeOrder, Order()), cast(Any, Process()), -1, cast(Any, None))
             supervisor.current["world"] = world
             await main(supervisor)

@@ -37,7 +37,10 @@ SEEN = LaunchStatus(
     "5163af85",
     9,
     2,
-    {name: {"process": "a", "pid": 7, "state": "running", "restarts": 1, "instance": 0} for name in ("low", "mid")},
+    {
+        name: {"process": "a", "pid": 7, "state": "running", "restarts": 1, "instance": 0, "host": ""}
+        for name in ("low", "mid")
+    },
 )
 
 
@@ -85,7 +88,14 @@ def test_what_a_node_does_now(change: dict[str, Any], text: str) -> None:
 def test_an_overview_has_all_nodes_also_those_that_are_silent() -> None:
     look = overview(SEEN, {"mid": answer(2, 10)}, {"mid": answer(4, 30)})
     assert (look["epoch"], look["epochs_per_s"], look["epoch_us"]["p50"]) == (30, 10, 2000)
-    assert look["nodes"]["low"] == {"state": "running", "pid": 7, "instance": 0, "restarts": 1, "answers": False}
+    assert look["nodes"]["low"] == {
+        "state": "running",
+        "pid": 7,
+        "instance": 0,
+        "restarts": 1,
+        "host": "",
+        "answers": False,
+    }
     mid = look["nodes"]["mid"]
     assert (mid["answers"], mid["cpu"], mid["rss_bytes"], mid["doing"]) == (True, 0.5, 1 << 20, "waits for low")
 

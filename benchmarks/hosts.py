@@ -1,0 +1,91 @@
+"""Launch hierarchies over three hosts, lose one, cut a link: the digests are those of one process.
+
+    python benchmarks/hosts.py                # letters and tracking, some minutes; root, iproute2, openssh-server
+
+Hosts are network namespaces with an `sshd` in each; what is sent between them takes 2 ms, and 1 % of the packets are
+lost (`tests/support/wire.py`). Exit code 1 where a digest is another one.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from support.far_hosts import ARM, DESK, ROBOT, FarHosts  # noqa: E402
+from support.live import HIERAX, Program, environment, hierax, until  # noqa: E402
+
+LOST_S, CUT_S = 2, 5.0
+PLACES = {
+    "letters": (300, {"world": ROBOT, "letter1": ARM, "letter2": ROBOT, "word": DESK}),
+    "tracking": (60, {"world": ROBOT, "arm": ARM, "spatial": DESK}),
+}
+"""By hierarchy, how many epochs, and where its nodes run; the rest is on the desk."""
+
+Disturb = Callable[[FarHosts], object]
+
+
+def main() -> int:
+    """Launch, disturb, and tell of it."""
+    sound = True
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        far = FarHosts(folder)
+        try:
+            for hierarchy, (epochs, place) in PLACES.items():
+                sound &= launched(far, folder, hierarchy, epochs, place)
+        finally:
+            far.remove()
+    return 0 if sound else 1
+
+
+def launched(far: FarHosts, folder: Path, hierarchy: str, epochs: int, place: dict[str, str]) -> bool:
+    """One hierarchy, in all ways; whether all digests are equal."""
+    told = (ROOT / "deploy" / f"{hierarchy}.yaml").read_text(encoding="utf-8")
+    hosts = far.hosts(robot=f"fallback: desk, lost_after: {LOST_S}", arm="lost_after: 30")
+    placed = folder / f"{hierarchy}.yaml"
+    placed.write_text(f"{told}\n{hosts}place: {json.dumps(place)}\n", encoding="utf-8")
+    arguments = ("--epochs", str(epochs), "--format", "json")
+    wanted = json.loads(hierax(folder, "run", str(placed), *arguments).stdout)["digest"]
+    ways: list[tuple[str, str, Disturb]] = [
+        ("on the desk", hierarchy, lambda _: None),
+        ("on three hosts", str(placed), lambda _: None),
+        ("robot lost", str(placed), lambda far: far.power_off(ROBOT)),
+        (f"arm cut off for {CUT_S:g} s", str(placed), lambda far: far.cut_for(ARM, CUT_S)),
+    ]
+    sound = True
+    for way, file, disturb in ways:
+        begun_s = time.monotonic()
+        program = Program(("launch", file, *arguments), environment(folder), far.namespaces[DESK])
+        until(lambda: committed(far, folder) > epochs // 10)
+        disturb(far)
+        assert program.ends() == 0, program.err
+        report: dict[str, Any] = json.loads("".join(program.out))
+        program.kill()
+        equal = report["digest"] == wanted
+        sound &= equal
+        took = f"{time.monotonic() - begun_s:.1f} s, epoch p50 {report['epoch_us']['p50'] / 1e3:.1f} ms"
+        print(f"{hierarchy}, {way}: {took}, digest {'equal' if equal else 'ANOTHER ONE'}", flush=True)
+        for line in program.err:
+            print(f"    {line.rstrip()}", flush=True)
+        if way == "robot lost":
+            far.power_on(ROBOT)
+    return sound
+
+
+def committed(far: FarHosts, folder: Path) -> int:
+    """The last epoch of the launch on the desk; 0 before the first."""
+    command = ["ip", "netns", "exec", far.namespaces[DESK], *HIERAX, "ps", "--format", "json"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment(folder), check=False)
+    runs = json.loads(done.stdout)["runs"] if done.returncode == 0 else []
+    return int(runs[0]["epoch"]) if runs else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
