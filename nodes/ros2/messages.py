@@ -45,7 +45,6 @@ _LAYOUTS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and OpenCV's w
     "16UC1": (2, None),
     "mono16": (2, None),
 }
-_DEEP = ("16UC1", "mono16")
 
 
 def require(module: str, where: object) -> None:
@@ -111,7 +110,7 @@ def image_of(where: str, message: Any) -> Array:
         told = f"{len(message.data)} bytes in rows of {step}"
         raise DataError(f"{where}: has {told}; expected {height} rows of at least {width * channels}")
     rows = message.data.reshape(height, step)[:, : width * channels]
-    if message.encoding in _DEEP:
+    if channels == 2:  # bytes of one of 16 bits
         order = ">u2" if message.is_bigendian else "<u2"
         return np.ascontiguousarray(rows).view(order).astype(np.uint16)
     pixels = np.ascontiguousarray(rows.reshape(height, width, channels) if channels > 1 else rows)

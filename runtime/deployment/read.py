@@ -28,6 +28,7 @@ from hierax.runtime.deployment.models import first_error
 from hierax.runtime.deployment.parameters import apply_override, substitute
 from hierax.runtime.deployment.rates import rated_keys, rates_of
 from hierax.runtime.deployment.tree import read_tree
+from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.errors import SchemaError
@@ -185,7 +186,7 @@ def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
 
 
 def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -> dict[str, Any] | str | None:
-    if not isinstance(value, str) or value.lstrip().startswith("{"):
+    if not names_file(value):
         return value
     file = (path.parent / value).resolve()
     if not file.is_file():

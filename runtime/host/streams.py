@@ -64,6 +64,14 @@ def own_output() -> int:
     return output
 
 
+def own_input() -> int:
+    """Have nobody else read what comes to descriptor 0; a descriptor for it."""
+    given = os.dup(0)
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    return given
+
+
 def own_streams() -> None:
     """The same, with `sys.stdout` and `sys.stderr` for what this process says itself. What cannot be encoded is
     escaped; `StandardOutputError` is raised where standard output cannot be written; what cannot be written to standard

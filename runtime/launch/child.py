@@ -9,7 +9,7 @@ import signal
 import subprocess
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
@@ -21,7 +21,7 @@ import anyio.abc
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.host.streams import python_module, started_deaf
-from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
+from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, READ_BYTES, REPORT, UP, NodeOrder, frame
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
 from hierax.schemas.values import Value
@@ -31,8 +31,6 @@ END_TIMEOUT_S = 1.5  # how long processes may take to end when the run is broken
 
 CHANNEL = "output"  # the logger's name in such entries
 PIPE_BYTES = 1 << 20  # what is printed waits for a supervisor that is stopped, up to here; where there may be so much
-
-READ_BYTES = 1 << 16
 
 
 class Overhearing:
@@ -244,6 +242,18 @@ class Child:
         if self.handle != CLOSED:
             os.close(self.handle)
             self.handle = CLOSED
+
+    async def listen(self, take: Callable[[bytes], Awaitable[None]]) -> None:
+        """Take in what the process says and prints, until it has ended."""
+        assert self.process.stdout is not None
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self.cut_off, tasks.cancel_scope)
+            tasks.start_soon(self.overheard.listen)
+            async for data in self.process.stdout:
+                await take(data)
+            with anyio.move_on_after(END_TIMEOUT_S):
+                await self.process.wait()
+            tasks.cancel_scope.cancel()
 
     async def cut_off(self, listening: anyio.CancelScope) -> None:
         """End what a node has started with the node: it may hold the pipes open, so that no end of them comes."""

@@ -1,6 +1,5 @@
 """A host beside the launch's own, and the processes of nodes there, as the launch sees them."""
 
-import os
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -18,10 +17,22 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import Host
 from hierax.runtime.execution.output_folder import Log, digest_log, state_log
 from hierax.runtime.execution.pacemaker import SteadyClock
+from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.launch.child import CLOSED, Child, Overheard, Overhearing
-from hierax.runtime.launch.frames import APPEND, BEGIN, KEEP, KEPT, LOG, STATES, NodeOrder, frame
+from hierax.runtime.launch.frames import (
+    APPEND,
+    BEGIN,
+    KEEP,
+    KEPT,
+    LOG,
+    STATES,
+    NodeOrder,
+    frame,
+    read_some,
+    write_whole,
+)
 from hierax.runtime.launch.keeper import BEAT_S
-from hierax.runtime.launch.keeper_link import READ_BYTES, Greeting, KeeperLink
+from hierax.runtime.launch.keeper_link import Greeting, KeeperLink
 from hierax.runtime.recovery.disk import SLOTS, MappedFile
 from hierax.runtime.watch.logs import ForwardedLog
 from hierax.schemas.errors import SchemaError
@@ -132,11 +143,8 @@ class FarHost:
 
     async def _read(self, link: KeeperLink, overhearing: Overhearing) -> str:
         while True:
-            await anyio.wait_readable(link.words)
             try:
-                data = os.read(link.words, READ_BYTES)
-            except BlockingIOError:
-                continue
+                data = await read_some(link.words)
             except OSError as error:
                 return str(error)
             if not data:
@@ -161,15 +169,10 @@ class FarHost:
     async def _write(self, link: KeeperLink, queue: Any) -> str:
         self.say({"lost_after_s": _SHARE * self.host.lost_after_s})
         async for data in queue:
-            left = memoryview(data)
-            while left:
-                await anyio.wait_writable(link.orders)
-                try:
-                    left = left[os.write(link.orders, left) :]
-                except BlockingIOError:
-                    continue
-                except OSError:
-                    return f"ssh has ended{link.last_line}"
+            try:
+                await write_whole(link.orders, data)
+            except OSError:
+                return f"ssh has ended{link.last_line}"
         return "it is told nothing more"
 
     async def _watch(self) -> str:
@@ -195,18 +198,10 @@ class FarHost:
 async def _show(link: KeeperLink, overhearing: Overhearing) -> None:
     """What processes there print, and `ssh`."""
     lines = overhearing.passed_on()
-    while True:
-        await anyio.wait_readable(link.errors)
-        try:
-            data = os.read(link.errors, READ_BYTES)
-        except BlockingIOError:
-            continue
-        except OSError:
-            return
-        if not data:
-            return
-        link.heard(data)
-        lines.write(data)
+    with suppress(OSError):
+        while data := await read_some(link.errors):
+            link.heard(data)
+            lines.write(data)
 
 
 class FarChild(Child):
@@ -390,6 +385,6 @@ class _Unheard(Overheard):
 
 def _in_full(settings: Value) -> Value:
     """Zenoh's settings, without a file of this machine."""
-    if isinstance(settings, str) and not settings.lstrip().startswith("{"):
+    if names_file(settings):
         return Path(settings).read_text(encoding="utf-8")
     return settings

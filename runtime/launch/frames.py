@@ -10,8 +10,11 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import anyio
 
 from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
@@ -24,6 +27,8 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.roster import ProbeSpec, Reference, Roster
 from hierax.schemas.values import Value, decode_value, encode_value
+
+READ_BYTES = 1 << 16  # at once, of a pipe
 
 _LENGTH = struct.Struct("<I")
 
@@ -129,6 +134,23 @@ class NodeOrder:
         return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner, "slots": slots})
 
 
+async def read_some(descriptor: int) -> bytes:
+    """What comes next of a pipe, whether that blocks or not; nothing at its end."""
+    while True:
+        await anyio.wait_readable(descriptor)
+        with suppress(BlockingIOError):
+            return os.read(descriptor, READ_BYTES)
+
+
+async def write_whole(descriptor: int, data: bytes) -> None:
+    """Write all of it to a pipe that does not block."""
+    left = memoryview(data)
+    while left:
+        await anyio.wait_writable(descriptor)
+        with suppress(BlockingIOError):
+            left = left[os.write(descriptor, left) :]
+
+
 def frame(value: Value) -> bytes:
     data = encode_value(value)
     return _LENGTH.pack(len(data)) + data
@@ -154,6 +176,14 @@ class Frames:
             values.append(decode_value(bytes(self._buffer[_LENGTH.size : end]), "pipe"))
             del self._buffer[:end]
         return values
+
+
+async def next_frames(descriptor: int, frames: Frames) -> list[Value]:
+    """At least one frame of what comes of a pipe; none when its other end is gone."""
+    while data := await read_some(descriptor):
+        if values := frames.feed(data):
+            return values
+    return []
 
 
 class SupervisorPipe(Supervision):

@@ -34,9 +34,9 @@ from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStre
 
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.host.installed import installed_digest, installed_version
-from hierax.runtime.host.streams import own_output
+from hierax.runtime.host.streams import own_input, own_output
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, start_process
-from hierax.runtime.launch.frames import Frames, NodeOrder, frame
+from hierax.runtime.launch.frames import Frames, NodeOrder, frame, next_frames, write_whole
 from hierax.runtime.launch.keeper_link import MARK
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
 from hierax.schemas.values import Value
@@ -45,15 +45,12 @@ BEAT_S = 0.5  # how often each end says that it lives
 LOOK_S = 0.2
 KINDLY_S = 0.7  # how long processes may take to end by themselves when the launch is gone
 MAX_LINES = 1024  # how many printed lines wait for the link; what is beyond is told on the console alone
-READ_BYTES = 1 << 16
 
 
 def main() -> None:
     """Obey until the launch is gone."""
     words = own_output()
-    orders = os.dup(0)
-    with open(os.devnull, "rb") as nothing:  # processes must not read what is meant for the keeper
-        os.dup2(nothing.fileno(), 0)
+    orders = own_input()  # processes must not read what is meant for the keeper
     signal.signal(signal.SIGHUP, signal.SIG_IGN)  # of `sshd`: the end of the pipe says the same
     os.set_blocking(orders, False)
     os.set_blocking(words, False)
@@ -98,7 +95,7 @@ class Keeper:
             while not scope.cancel_called:
                 values: list[Value] | None = None
                 with anyio.move_on_after(LOOK_S):
-                    values = await self._next(frames)
+                    values = await next_frames(self._orders, frames)
                 now = clock()
                 if values is None:
                     if now - self._heard_s > lost_after_s:
@@ -124,17 +121,6 @@ class Keeper:
             for child in list(self._children.values()):
                 await child.process.wait()
 
-    async def _next(self, frames: Frames) -> list[Value]:
-        """At least one frame; none when the launch is gone."""
-        while True:
-            await anyio.wait_readable(self._orders)
-            data = os.read(self._orders, READ_BYTES)
-            if not data:
-                return []
-            values = frames.feed(data)
-            if values:
-                return values
-
     async def _do(self, value: Mapping[str, Any]) -> None:
         if "start" in value:
             child = (await start_process([_order(each) for each in value["start"]], self._overhearing))[0]
@@ -153,16 +139,12 @@ class Keeper:
 
     async def _relay(self, child: Child) -> None:
         """Pass on what a process says, until it ends."""
-        assert child.process.stdout is not None
+
+        async def pass_on(data: bytes) -> None:
+            await self._say({"from": child.token, "data": data})
+
         await self._say({"started": child.token, "pid": child.process.pid})
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(child.cut_off, tasks.cancel_scope)
-            tasks.start_soon(child.overheard.listen)
-            async for data in child.process.stdout:
-                await self._say({"from": child.token, "data": data})
-            with anyio.move_on_after(END_TIMEOUT_S):
-                await child.process.wait()
-            tasks.cancel_scope.cancel()
+        await child.listen(pass_on)
         del self._children[child.token]
         self._queues.pop(child.token).close()
         await child.close()
@@ -188,13 +170,9 @@ class Keeper:
 
     async def _write(self, data: bytes) -> None:
         """Say it whole; who has more to say waits meanwhile, as do processes that say more than the link carries."""
-        left = memoryview(data)
         async with self._saying:
             with suppress(BrokenPipeError):  # the launch is gone, and what is read says so, too
-                while left:
-                    await anyio.wait_writable(self._words)
-                    with suppress(BlockingIOError):
-                        left = left[os.write(self._words, left) :]
+                await write_whole(self._words, data)
 
 
 def _order(value: Value) -> NodeOrder:

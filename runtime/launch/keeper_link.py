@@ -20,7 +20,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import Host
 from hierax.runtime.host.installed import installed_digest, installed_version
 from hierax.runtime.host.streams import python_module
-from hierax.runtime.launch.frames import Frames
+from hierax.runtime.launch.frames import READ_BYTES, Frames
 from hierax.schemas.errors import SchemaError
 
 KEEPER = "hierax.runtime.launch.keeper"
@@ -30,7 +30,6 @@ MARK = b"\n-- the keeper of hierax --\n"
 GREETING_S = 30.0  # how long it may take until the keeper answers
 CONNECT_S = 10  # how long `ssh` may take to connect, where its user has not said otherwise
 END_S = 1.5  # how long it may take to end when it is told nothing more
-READ_BYTES = 1 << 16
 MAX_NOISE_BYTES = 1 << 18  # what a user's shell may say before the keeper does
 
 _NOT_INSTALLED = re.compile(r"No module named '?hierax(?![.\w])")
@@ -153,7 +152,7 @@ class KeeperLink:
     def _read(self, descriptor: int) -> bytes:
         try:
             return os.read(descriptor, READ_BYTES)
-        except (BlockingIOError, OSError):
+        except OSError:
             return b""
 
     @property

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from hierax.runtime.launch.frames import APPEND, KEEP, LOG, SupervisorPipe
 from hierax.runtime.recovery.disk import Storage
+from hierax.runtime.watch.logs import JsonLine
 
 
 class KeptElsewhere(Storage):
@@ -65,6 +66,7 @@ class ToldRecords(logging.Handler):
 
     def __init__(self, pipe: SupervisorPipe) -> None:
         super().__init__()
+        self.setFormatter(JsonLine())
         self._pipe = pipe
 
     def emit(self, record: logging.LogRecord) -> None:

@@ -57,7 +57,7 @@ def pacemaker_of(order: NodeOrder, publish: Callable[[int, bytes], None], pipe: 
 
 def open_times(order: NodeOrder) -> Times:
     """The run's, beside the world's record. Raises `HieraxError` if the file cannot be opened."""
-    return Times(_memory(order, f"{order.checkpoint}.times", TIMES_BYTES), int(order.run, 16))
+    return Times(_memory(order, Path(f"{order.checkpoint}.times"), TIMES_BYTES), int(order.run, 16))
 
 
 def open_budget(order: NodeOrder) -> Budget | None:
@@ -65,15 +65,15 @@ def open_budget(order: NodeOrder) -> Budget | None:
     `HieraxError` if the file cannot be opened."""
     if order.budget_ms is None:
         return None
-    return Budget(order.budget_ms, _memory(order, f"{order.name}.budget", BUDGET_BYTES))
+    path = Path(order.checkpoint).parent / f"{order.name}.budget"
+    return Budget(order.budget_ms, _memory(order, path, BUDGET_BYTES))
 
 
-def _memory(order: NodeOrder, name: str, size: int) -> mmap:
+def _memory(order: NodeOrder, path: Path, size: int) -> mmap:
     """A file beside the checkpoints, of zeros where the run begins; on another host than they are, memory of this
     process alone."""
     if order.slots is not None:
         return mmap(-1, size)
-    path = Path(order.checkpoint).with_name(Path(name).name)
     with errors_named(path, "opened"), private_folder(path.parent) as folder:
         file = open_private(folder, path.name, os.O_RDWR | os.O_CREAT, path)
         try:

@@ -20,8 +20,8 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
-from hierax.runtime.host.streams import own_output
-from hierax.runtime.launch.frames import FINISH, KEPT, LEAVE, STOP, Frames, NodeOrder
+from hierax.runtime.host.streams import own_input, own_output
+from hierax.runtime.launch.frames import FINISH, KEPT, LEAVE, STOP, Frames, NodeOrder, next_frames
 from hierax.runtime.launch.kept_elsewhere import ToldRecords
 from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.launch.process_home import ProcessHome
@@ -47,9 +47,7 @@ def main() -> None:
     status = own_output()  # what a node prints must not mix with the frames
     if isinstance(sys.stdout, io.TextIOWrapper):  # nor may a character that cannot be printed end it
         sys.stdout.reconfigure(errors="backslashreplace")
-    orders = os.dup(sys.stdin.fileno())
-    with open(os.devnull, "rb") as nothing:  # nor may a node, or a program that it starts, read them
-        os.dup2(nothing.fileno(), sys.stdin.fileno())
+    orders = own_input()  # nor may a node, or a program that it starts, read them
     code = BUG
     try:
         code = anyio.run(_main, orders, status, console)
@@ -76,7 +74,7 @@ def _exit(code: int) -> NoReturn:
 
 async def _main(orders: int, status: int, console: Console) -> int:
     frames = Frames()
-    commands = await _next_frames(orders, frames)
+    commands = await next_frames(orders, frames)
     if not commands:
         return 0
     nodes = [NodeOrder.read(each) for each in commands.pop(0)]
@@ -150,7 +148,7 @@ class _Process:
                 worker = self._workers.get(token)
                 if worker is not None:
                     _obey(worker, command)
-            commands = await _next_frames(orders, frames)
+            commands = await next_frames(orders, frames)
             if not commands:
                 await self._end()
 
@@ -207,18 +205,6 @@ async def _take_turns(worker: NodeWorker) -> None:
         due_s = max(due_s + period_s, anyio.current_time())
         await anyio.sleep_until(due_s)
         worker.take_turn()
-
-
-async def _next_frames(orders: int, frames: Frames) -> list[Value]:
-    """At least one frame from the supervisor; none when it is gone."""
-    while True:
-        await anyio.wait_readable(orders)
-        data = os.read(orders, 1 << 16)
-        if not data:
-            return []
-        values = frames.feed(data)
-        if values:
-            return values
 
 
 def _wait_in_event_loop(awaitable: Awaitable[Any]) -> Any:

@@ -85,23 +85,18 @@ class ProcessSupervisor(ABC):
                 await child.process.wait()
 
     async def _listen(self, children: Sequence[Child]) -> None:
-        first, by_token = children[0], {child.token: child for child in children}
-        assert first.process.stdout is not None
-        frames = Frames()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(first.cut_off, tasks.cancel_scope)
-            tasks.start_soon(first.overheard.listen)
-            async for data in first.process.stdout:
-                for value in frames.feed(data):
-                    child = by_token[value["from"]]
-                    if value["status"] == ENDED:
-                        child.code = value["code"]
-                        self.tasks.start_soon(self._on_ends, [child])
-                    elif not child.take(value):
-                        self._take(child, value)
-            with anyio.move_on_after(END_TIMEOUT_S):
-                await first.process.wait()
-            tasks.cancel_scope.cancel()
+        frames, by_token = Frames(), {child.token: child for child in children}
+
+        async def take(data: bytes) -> None:
+            for value in frames.feed(data):
+                child = by_token[value["from"]]
+                if value["status"] == ENDED:
+                    child.code = value["code"]
+                    self.tasks.start_soon(self._on_ends, [child])
+                elif not child.take(value):
+                    self._take(child, value)
+
+        await children[0].listen(take)
         await self._on_ends([child for child in children if child.code is None])
 
     async def _on_ends(self, children: Sequence[Child]) -> None:

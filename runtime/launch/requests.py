@@ -55,10 +55,10 @@ class Requests:
 
     ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "terms", "here"}`` is answered with
     ``{"epoch"}``, the first one under the changed roster when it is committed, or ``{"refusal"}``; ``by`` says who
-    asks, for the audit. With ``here`` the
-    processes of new nodes are kept by who asks: the answer is ``{"request", "orders"}``, what they are to be started
-    with, and ``{"ask": "await", "request"}`` is answered in the end. ``{"ask": "record", "pid"}`` says that a process,
-    0 for one on another machine, is about to record; the answer is the fields of a `RunInfo`."""
+    asks, for the audit. With ``here`` the processes of new nodes are kept by who asks: the answer is ``{"request",
+    "orders"}``, what they are to be started with, and ``{"ask": "await", "request"}`` is answered in the end.
+    ``{"ask": "record", "pid"}`` says that a process, 0 for one on another machine, is about to record; the answer is
+    the fields of a `RunInfo`."""
 
     def __init__(self, processes: RosterSupervisor, audit: Audit | None = None) -> None:
         self._processes = processes

@@ -2,6 +2,7 @@
 asked for its health. `hierax.runtime.tools.systemd`, `compose` and `kubernetes` write it down for each."""
 
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import read_text, shipped
 from hierax.runtime.deployment.secrets import public_settings, secret_values
+from hierax.runtime.host.zenoh_settings import names_file
 
 IMAGE = "hierax"
 USER = 10001  # who a container runs as; deploy/Containerfile has the same
@@ -76,7 +78,7 @@ class Service:
     def text(self) -> str:
         """Its file. Raises `HieraxError` if what is in it leads to another one."""
         zenoh = self.deployment.zenoh
-        if isinstance(zenoh, str) and not zenoh.lstrip().startswith("{"):
+        if names_file(zenoh):
             what = f"zenoh: {zenoh} is a file of this machine; a container needs the settings themselves, as a map"
             raise HieraxError(f"{self.deployment.path}: {what}")
         return read_text(self.deployment.path)
@@ -89,8 +91,7 @@ class Service:
         shares = [
             each.budget_ms / 1e3 * rate_hz
             for each in terms.values()
-            for rate_hz in (each.rate_hz or world_hz,)
-            if each.budget_ms is not None and rate_hz is not None
+            if each.budget_ms is not None and (rate_hz := each.rate_hz or world_hz) is not None
         ]
         return sum(shares) if shares else None
 
@@ -129,8 +130,6 @@ def head(kind: str, *lines: str) -> str:
 
 def executable() -> Path:
     """This installation's `hierax`. Raises `HieraxError` if it has none."""
-    import sys
-
     found = Path(sys.executable).parent / "hierax"
     if not found.exists():
         raise HieraxError(f"{found}: there is no such command, which the units are to start")

@@ -21,6 +21,7 @@ import zenoh
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_secret import USER, authority_of, dictionary, token_of
+from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.transport.port import TransportError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES, MAX_QUESTION_BYTES
 
@@ -309,5 +310,4 @@ def _given(zenoh_config: ZenohConfig) -> Any:
         return zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
     if isinstance(zenoh_config, Mapping):
         return zenoh.Config.from_json5(json.dumps(zenoh_config))
-    is_text = zenoh_config.lstrip().startswith("{")
-    return zenoh.Config.from_json5(zenoh_config) if is_text else zenoh.Config.from_file(zenoh_config)
+    return zenoh.Config.from_file(zenoh_config) if names_file(zenoh_config) else zenoh.Config.from_json5(zenoh_config)

@@ -140,11 +140,6 @@ def log_console() -> None:
         _LOG.warning("%s: expected DEBUG, INFO, WARNING, ERROR or CRITICAL, got %r", LEVEL_VARIABLE, given)
 
 
-def log_node(run: str, node: str, when: When) -> None:
-    """Have all records of this process go to a node's file too, with what `when` says is under way."""
-    log_nodes(run, node, {node: when})
-
-
 def log_nodes(
     run: str, process: str, whens: Mapping[str, When], told: Mapping[str, logging.Handler] | None = None
 ) -> None:
@@ -179,7 +174,6 @@ def log_nodes(
 def _log_to(handler: logging.Handler, node: str) -> None:
     """Have the records of one node go to a handler; of no name: all."""
     root = logging.getLogger()
-    handler.setFormatter(JsonLine())
     if node:
         handler.addFilter(lambda record: getattr(record, "node", "") == node)
     handler.addFilter(_throttle.filter)
@@ -207,7 +201,7 @@ def open_log(folder: Path, name: str) -> logging.Handler | None:
 
 
 class ForwardedLog:
-    """A node's file, for the lines that its process makes on another host. `run`, `node`: as `log_node` has them."""
+    """A node's file, for the lines that its process makes on another host. `run`, `node`: as `log_nodes` has them."""
 
     def __init__(self, run: str, node: str) -> None:
         folder = run_folder(run) / LOGS

@@ -7,14 +7,13 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from support.live import TESTS, until
+from support.live import TESTS, lasting, until
 
 DESK, ROBOT, ARM = "desk", "robot", "arm"
 DELAY_MS, LOSS = 2.0, 0.01
@@ -140,11 +139,9 @@ class FarHosts:
     def cut_for(self, name: str, seconds: float, meanwhile: Callable[[], object] = lambda: None) -> None:
         """Cut a host off for a while."""
         self.cut(name)
-        cut = threading.Timer(seconds, lambda: None)
-        cut.start()
         try:
-            meanwhile()
-            cut.join()
+            with lasting(seconds):
+                meanwhile()
         finally:
             self.heal(name)
 

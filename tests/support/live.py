@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,15 @@ def until(condition: Callable[[], Any], what: str = "it", timeout_s: float = TIM
         assert time.monotonic() < patience, f"{what} did not come to pass"
         time.sleep(0.01)
     return found
+
+
+@contextmanager
+def lasting(seconds: float) -> Iterator[None]:
+    """A block that takes at least so long."""
+    timer = threading.Timer(seconds, lambda: None)
+    timer.start()
+    yield
+    timer.join()
 
 
 class Program:

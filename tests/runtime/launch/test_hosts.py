@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.live import Live, Program, until
+from support.live import Live, Program, lasting, until
 
 ADDRESSES = ("10.213.77.1", "10.213.77.2")
 CUT_S = 5.0
@@ -99,11 +98,9 @@ class Far:
     def cut(self, meanwhile: Callable[[], object] = lambda: None) -> None:
         """Cut the link for a while, and heal it."""
         self.hosts.cut()
-        cut = threading.Timer(CUT_S, lambda: None)
-        cut.start()
         try:
-            meanwhile()
-            cut.join()
+            with lasting(CUT_S):
+                meanwhile()
         finally:
             self.hosts.heal()
 

@@ -10,7 +10,7 @@ import pytest
 
 from hierax.runtime.host.run_folder import ABOUT, run_folder
 from hierax.runtime.watch import logs
-from hierax.runtime.watch.logs import QUIET, JsonLine, begin_log, log_console, log_node, open_log
+from hierax.runtime.watch.logs import QUIET, JsonLine, begin_log, log_console, log_nodes, open_log
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +36,7 @@ def entries(run: str, name: str) -> list[dict[str, Any]]:
 def test_a_nodes_records_have_run_node_and_epoch(capsys: pytest.CaptureFixture[str]) -> None:
     when = (0, 0)
     log_console()
-    log_node("5163af85", "arm", lambda: when)
+    log_nodes("5163af85", "arm", {"arm": lambda: when})
     logger = logging.getLogger("robots.arm")
     logger.info("calibrated")
     when = (12, 1)
@@ -54,14 +54,14 @@ def test_formatters_of_ones_own_know_the_fields(capsys: pytest.CaptureFixture[st
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(run)s/%(node)s@%(epoch)d %(message)s"))
     logging.getLogger().addHandler(handler)
-    log_node("aa", "arm", lambda: (7, 0))
+    log_nodes("aa", "arm", {"arm": lambda: (7, 0)})
     logging.getLogger("x").warning("hot")
     assert capsys.readouterr().err == "aa/arm@7 hot\n"
 
 
 def test_tracebacks_are_in_the_file_and_what_is_quiet_is_only_there(capsys: pytest.CaptureFixture[str]) -> None:
     log_console()
-    log_node("aa", "arm", lambda: (1, 0))
+    log_nodes("aa", "arm", {"arm": lambda: (1, 0)})
     try:
         raise ValueError("no camera")
     except ValueError:
@@ -77,7 +77,7 @@ def test_the_console_shows_what_is_asked_for(
 ) -> None:
     monkeypatch.setenv("HIERAX_LOG", "debug")
     log_console()
-    log_node("aa", "arm", lambda: (1, 0))
+    log_nodes("aa", "arm", {"arm": lambda: (1, 0)})
     logging.getLogger("x").debug("details")
     assert capsys.readouterr().err == "arm: x: details\n"
     assert entries("aa", "arm")[0]["level"] == "DEBUG"
@@ -111,7 +111,7 @@ def test_files_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_where_nothing_can_be_written_a_node_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "hierax").write_text("no folder")
     log_console()
-    log_node("aa", "arm", lambda: (1, 0))
+    log_nodes("aa", "arm", {"arm": lambda: (1, 0)})
     logging.getLogger("x").warning("all the same")
     err = capsys.readouterr().err
     assert err.count("\n") == 2
