@@ -129,7 +129,7 @@ FAMILIAR = 0.3  # what a control point speaks for it besides that looks as it is
 CLEARLY = 1.5  # control points by which a candidate must be better than any that differs from it
 CLAIM_PX = 2.5  # so near to an edge of an object that is surely seen, an edge is claimed by it
 APART_M, APART_RAD = 0.008, 0.14  # poses that are farther apart differ
-CERTAIN_SCORE = 0.95  # what was found again just now and scores less is looked for farther away, too
+CERTAIN_SCORE = 0.95  # what was found again, or startled, just now and scores less is looked for elsewhere
 # Standard deviations. An object whose place is less certain has to be found, not kept; is tried on a grid.
 VAGUE_M, VAGUE_RAD, GRID_M = 0.02, 0.3, 0.015
 # How much farther an object may be that was looked for in vain, and a body that was found again just now (m², rad²).

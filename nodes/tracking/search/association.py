@@ -43,7 +43,8 @@ class Options(NamedTuple):
     # each
     motion: Floats
     sure_score: float  # an object that scores less is also looked for farther away
-    certain_score: float = const.CERTAIN_SCORE  # so is one that was found again just now and scores less than this
+    # So is one that was found again just now, or that something has happened to, and that scores less than this.
+    certain_score: float = const.CERTAIN_SCORE
     falling: Floats | None = None  # as `motion`, falling over included; None: the same
     # standard deviation of where edges are beside their models', m; None: each model's is learned
     tolerance: float | None = None
@@ -175,8 +176,8 @@ def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -
         return True
     if found.shown[at] < const.LEAST_SHOWN:
         return False
-    enough = options.certain_score if item["probation"] else options.sure_score
-    return bool(found.scores[at] < enough or (found.motion_scale[at] == 1.0 and item["motion_scale"] < 1.0))
+    startled = found.motion_scale[at] == 1.0 and item["motion_scale"] < 1.0
+    return bool(found.scores[at] < (options.certain_score if item["probation"] or startled else options.sure_score))
 
 
 def _is_still(item: TrackedObject, motion_scale: float) -> bool:
