@@ -70,7 +70,7 @@ def traces() -> set[str]:
             command = path.read_bytes().replace(b"\0", b" ").decode(errors="replace")
         except OSError:
             continue  # it has just ended
-        if "node_process" in command:
+        if "launch.forking" in command:
             found.add(f"process {path.parent.name}: {command}")
     return found
 

@@ -13,17 +13,21 @@ from hierax.runtime.launch.run_file import Run, has_run, read_run
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.execution.report import Report
+    from hierax.runtime.launch.fork_server import ForkServer
 
 
 @offers(*OF_A_RUN, "state", "resume", "host", "processes", "traffic", "trust")
 def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     """Run a deployment with each node in a process of its own, or in those that it shares, over Zenoh."""
-    if file is None or options.resume is None:
-        return _launched(options, file)
-    return _begun_or_resumed(options, file, options.resume)
+    from hierax.runtime.launch.fork_server import ForkServer
+
+    with ForkServer().start() as forks:  # it imports while this process does
+        if file is None or options.resume is None:
+            return _launched(options, file, forks)
+        return _begun_or_resumed(options, file, options.resume, forks)
 
 
-def _begun_or_resumed(options: RunOptions, file: str, state: Path) -> int:
+def _begun_or_resumed(options: RunOptions, file: str, state: Path, forks: "ForkServer") -> int:
     """Go on with the run in a folder; where there is none, it begins there, and one that is over stays so."""
     from hierax.runtime.launch.orders import NotBegunError, OverError
 
@@ -31,17 +35,17 @@ def _begun_or_resumed(options: RunOptions, file: str, state: Path) -> int:
         raise CommandError("--resume with --state: name one folder")
     anew = replace(options, state=state, resume=None, trust=False)
     if not has_run(state):
-        return _launched(anew, file)
+        return _launched(anew, file, forks)
     try:
-        return _launched(replace(options), file)
+        return _launched(replace(options), file, forks)
     except OverError as over:
         notify(str(over))
         return OK
     except NotBegunError:
-        return _launched(anew, file, goes_on=True)
+        return _launched(anew, file, forks, goes_on=True)
 
 
-def _launched(options: RunOptions, file: str | None, goes_on: bool = False) -> int:
+def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_on: bool = False) -> int:
     """`goes_on`: whether the output of a run that was ended before its first epoch is written on."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch.recorder_process import RecordingRequest
@@ -69,6 +73,7 @@ def _launched(options: RunOptions, file: str | None, goes_on: bool = False) -> i
             host=options.host,
             overrides=tuple(options.overrides or ()),
             recording=recording,
+            forks=forks,
         )
         if run is not None and output is not None:
             goes_on = output.absolute() == Path(run.output).absolute()

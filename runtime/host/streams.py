@@ -9,7 +9,8 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, TextIO
 
 from hierax.runtime.core.errors import HieraxError
@@ -22,6 +23,7 @@ _BEGIN = (
 from 3.11 on.)"""
 
 _AS_MODULE = f"{_BEGIN}import runpy; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
+_NAME_BYTES = 15  # of a process, as Linux keeps it
 _REPLACED = "backslashreplace"  # what becomes of characters that the stream's encoding does not have
 
 
@@ -45,6 +47,12 @@ def started_deaf() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def name_process(name: str) -> None:
+    """Have lists of processes show a name for this one; of what is long, its beginning."""
+    with suppress(OSError):
+        Path("/proc/self/comm").write_bytes(name.encode()[:_NAME_BYTES])
 
 
 class StandardOutputError(HieraxError):

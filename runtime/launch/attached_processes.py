@@ -18,7 +18,8 @@ import anyio.to_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
-from hierax.runtime.launch.child import Child, Overhearing, ProcessState
+from hierax.runtime.launch.child import Child, Overhearing, ProcessState, start_process
+from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, NodeOrder
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
 from hierax.runtime.loading.allowance import Allowance, module_of
@@ -74,7 +75,7 @@ async def _run(
         finally:
             with anyio.CancelScope(shield=True):
                 await attached.end_all()
-                await attached.close()
+                attached.close()
         tasks.cancel_scope.cancel()
     attached.overhearing.close()
     if why:
@@ -95,6 +96,7 @@ class AttachedProcesses(ProcessSupervisor):
     ) -> None:
         overhearing = Overhearing(orders[0].run, lambda: 0)  # how far the run is, is not known here
         super().__init__(tasks, overhearing, terms.__getitem__, notify, fail)
+        self._forks = ForkServer().start()
         self._orders = orders
         self._attached = len(orders)
         self._leaving = 0
@@ -106,6 +108,13 @@ class AttachedProcesses(ProcessSupervisor):
         for order in self._orders:
             await self.start(order)
         await self._all_dismissed.wait()
+
+    def close(self) -> None:
+        super().close()
+        self._forks.close()
+
+    async def _begin(self, orders: Sequence[NodeOrder]) -> list[Child]:
+        return await start_process(orders, self.overhearing, self._forks)
 
     def _take(self, child: Child, value: dict[str, Any]) -> None:
         return  # what only the supervisor of a launch can do something about

@@ -6,27 +6,25 @@ The process has a pipe at its descriptors 1 and 2, which its supervisor reads: t
 import fcntl
 import os
 import signal
-import subprocess
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import Any, Protocol
 
 import anyio
 import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
-from hierax.runtime.host.streams import python_module, started_deaf
+from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, READ_BYTES, REPORT, UP, NodeOrder, frame
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
 from hierax.schemas.values import Value
 
-CLOSED = -1  # a child's handle when the child is gone
 END_TIMEOUT_S = 1.5  # how long processes may take to end when the run is broken off
 
 CHANNEL = "output"  # the logger's name in such entries
@@ -127,15 +125,39 @@ class NodeFailedError(HieraxError):
         super().__init__(message)
 
 
+class NodeProcess(Protocol):
+    """A process of nodes, here or on another host."""
+
+    @property
+    def pid(self) -> int:
+        """Its number where it runs; 0: it is not known yet."""
+
+    @property
+    def returncode(self) -> int | None:
+        """Its exit code, negative for a signal's; None: it has not ended, as far as is known."""
+
+    async def wait(self) -> int:
+        """Wait for its end; gives its exit code."""
+
+    async def send(self, data: bytes) -> None:
+        """Write to what it reads. Raises `OSError` if it does not read any more."""
+
+    def send_signal(self, number: int) -> None:
+        """Send it a signal, unless it has ended."""
+
+    def said(self) -> AsyncIterator[bytes]:
+        """What it writes, as it comes, until nobody can write there any more."""
+
+    def close(self) -> None:
+        """Give up all that leads to it."""
+
+
 @dataclass(eq=False)
 class Child:
     """A node's process and what it has said; where nodes share a process, each is a child, and they are `mates`."""
 
     order: NodeOrder  # what it was started with
-    process: anyio.abc.Process  # its process
-    # A file descriptor that stands for it; signals go through it, as it never means another process, and as asyncio's
-    # own way competes with its wait for the exit code.
-    handle: int
+    process: NodeProcess  # its process
     overheard: Overheard  # what it prints, and programs that it has started
     state: ProcessState = ProcessState.STARTING  # where it is on its way
     came_up: bool = False  # whether it has ever been `ProcessState.UP`
@@ -193,17 +215,14 @@ class Child:
 
     async def say(self, value: Value) -> bool:
         """Say something to its process; whether that listens."""
-        assert self.process.stdin is not None
         try:
-            await self.process.stdin.send(frame(value))
-        except (anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
+            await self.process.send(frame(value))
+        except OSError:
             return False
         return True
 
     def send_signal(self, number: signal.Signals) -> None:
-        with suppress(ProcessLookupError):  # it has ended by itself
-            if self.handle != CLOSED:
-                signal.pidfd_send_signal(self.handle, number)
+        self.process.send_signal(number)
 
     def _kill_group(self) -> None:
         """A node's process leads a group, with the programs that the node has started."""
@@ -231,25 +250,18 @@ class Child:
     def release(self) -> None:
         """Let go of what is held for the node: its process has ended, and another one may come."""
 
-    async def close(self) -> None:
+    def close(self) -> None:
         """Give up what the process is held by."""
-        if not self.leads:
-            return
-        self.overheard.close()
-        for stream in (self.process.stdin, self.process.stdout):
-            if stream is not None:
-                await stream.aclose()
-        if self.handle != CLOSED:
-            os.close(self.handle)
-            self.handle = CLOSED
+        if self.leads:
+            self.overheard.close()
+            self.process.close()
 
     async def listen(self, take: Callable[[bytes], Awaitable[None]]) -> None:
         """Take in what the process says and prints, until it has ended."""
-        assert self.process.stdout is not None
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self.cut_off, tasks.cancel_scope)
             tasks.start_soon(self.overheard.listen)
-            async for data in self.process.stdout:
+            async for data in self.process.said():
                 await take(data)
             with anyio.move_on_after(END_TIMEOUT_S):
                 await self.process.wait()
@@ -257,9 +269,7 @@ class Child:
 
     async def cut_off(self, listening: anyio.CancelScope) -> None:
         """End what a node has started with the node: it may hold the pipes open, so that no end of them comes."""
-        if self.handle == CLOSED:
-            return  # it never came to start anything
-        await anyio.wait_readable(self.handle)  # the process has ended
+        await self.process.wait()
         self._kill_group()
         await anyio.sleep(END_TIMEOUT_S)
         listening.cancel()
@@ -280,26 +290,14 @@ class Child:
         return self.gone or how_ended(self.returncode)
 
 
-async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing) -> list[Child]:
+async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing, forks: ForkServer) -> list[Child]:
     """Start a process, mostly of one node."""
     overheard = overhearing.of(orders[0].shares or orders[0].name)
     try:
-        with started_deaf():
-            process = await anyio.open_process(
-                python_module("hierax.runtime.launch.node_process", str(overhearing.console)),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=overheard.writing,
-                start_new_session=True,
-                pass_fds=(overhearing.console,),
-            )
+        process = await forks.fork(overheard.writing, overhearing.console)
     finally:
         os.close(overheard.writing)
-    try:
-        handle = os.pidfd_open(process.pid)
-    except ProcessLookupError:
-        handle = CLOSED  # killed already, and noticed
-    children = [Child(order, process, handle, overheard) for order in orders]
+    children = [Child(order, process, overheard) for order in orders]
     for child in children if len(children) > 1 else ():
         child.mates = children
     await children[0].say([order.plain() for order in orders])

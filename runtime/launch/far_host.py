@@ -1,7 +1,7 @@
 """A host beside the launch's own, and the processes of nodes there, as the launch sees them."""
 
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,7 +18,7 @@ from hierax.runtime.deployment.deployment import Host
 from hierax.runtime.execution.output_folder import Log, digest_log, state_log
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.host.zenoh_settings import names_file
-from hierax.runtime.launch.child import CLOSED, Child, Overheard, Overhearing
+from hierax.runtime.launch.child import Child, Overheard, Overhearing
 from hierax.runtime.launch.frames import (
     APPEND,
     BEGIN,
@@ -208,7 +208,7 @@ class FarChild(Child):
     """A process of a node on another host. Its checkpoint is here, where others of that node find it."""
 
     def __init__(self, order: NodeOrder, process: "FarProcess", far: FarHost) -> None:
-        super().__init__(order, process, CLOSED, _Unheard(), host=far.host.name)
+        super().__init__(order, process, _Unheard(), host=far.host.name)
         self.far_process = process
         self._far = far
         self._storage: MappedFile | None = MappedFile(Path(order.checkpoint), order.durability)
@@ -266,9 +266,6 @@ class FarChild(Child):
         self.gone = how
         self.far_process.end(_KILLED)
 
-    def send_signal(self, number: signal.Signals) -> None:
-        self._far.say({"signal": self.far_process.token, "number": int(number)})
-
     def kill(self) -> None:
         if self.code is None and self.alive:
             self.send_signal(signal.SIGKILL)
@@ -283,91 +280,60 @@ class FarChild(Child):
         self._output.clear()
         self._log.close()
 
-    async def close(self) -> None:
+    def close(self) -> None:
         self.release()
 
 
-class FarProcess(anyio.abc.Process):
+class FarProcess:
     """What stands for a process on another host, which its keeper calls by a token. `tell`: tells the keeper."""
 
     def __init__(self, token: str, tell: Callable[[Value], None]) -> None:
         self.token = token
+        self.pid = 0  # its number there; 0: it is not known yet
+        self.returncode: int | None = None
         self._tell = tell
-        self._code: int | None = None
         self._ended = anyio.Event()
         self._said, self._words = anyio.create_memory_object_stream[bytes](inf)
-        self._orders = _Orders(self)
-        self._number = 0
-
-    def say(self, data: bytes) -> None:
-        """Have it read something."""
-        self._tell({"to": self.token, "data": data})
 
     def hear(self, value: Mapping[str, Any]) -> None:
         """What the keeper says of it."""
         if "started" in value:
-            self._number = value["pid"]
+            self.pid = value["pid"]
         elif "ended" in value:
             self.end(value["code"])
-        elif self._code is None:
+        elif self.returncode is None:
             self._said.send_nowait(value["data"])
 
     def end(self, code: int) -> None:
         """It has ended, or is taken for that."""
-        if self._code is None:
-            self._code = code
+        if self.returncode is None:
+            self.returncode = code
             self._said.close()
             self._ended.set()
 
     async def wait(self) -> int:
         await self._ended.wait()
-        assert self._code is not None
-        return self._code
+        assert self.returncode is not None
+        return self.returncode
 
-    async def aclose(self) -> None:
+    async def send(self, data: bytes) -> None:
+        if self.returncode is not None:
+            raise BrokenPipeError
+        self.say(data)
+
+    def say(self, data: bytes) -> None:
+        """Have it read something."""
+        self._tell({"to": self.token, "data": data})
+
+    def send_signal(self, number: int) -> None:
+        self._tell({"signal": self.token, "number": int(number)})
+
+    async def said(self) -> AsyncIterator[bytes]:
+        async for data in self._words:
+            yield data
+
+    def close(self) -> None:
         self._words.close()
-
-    def terminate(self) -> None:
-        raise NotImplementedError("signals go by `FarChild`")
-
-    kill = terminate
-
-    def send_signal(self, signal: Any) -> None:
-        raise NotImplementedError("signals go by `FarChild`")
-
-    @property
-    def pid(self) -> int:
-        """Its number there; 0: it is not known yet."""
-        return self._number
-
-    @property
-    def returncode(self) -> int | None:
-        return self._code
-
-    @property
-    def stdin(self) -> anyio.abc.ByteSendStream:
-        return self._orders
-
-    @property
-    def stdout(self) -> Any:
-        return self._words
-
-    @property
-    def stderr(self) -> None:
-        return None
-
-
-class _Orders(anyio.abc.ByteSendStream):
-    def __init__(self, process: FarProcess) -> None:
-        self._process = process
-
-    async def send(self, item: bytes) -> None:
-        if self._process.returncode is not None:
-            raise anyio.BrokenResourceError
-        self._process.say(item)
-
-    async def aclose(self) -> None:
-        return
 
 
 class _Unheard(Overheard):

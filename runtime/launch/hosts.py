@@ -10,6 +10,7 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import Host
 from hierax.runtime.launch.child import Child, Overhearing, start_process
 from hierax.runtime.launch.far_host import LOOK_S, FarHost, Notify
+from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import NodeOrder
 from hierax.runtime.launch.keeper_link import Greeting, HostError, KeeperLink
 
@@ -63,7 +64,8 @@ def _needed(deployment: Deployment) -> list[str]:
 class Hosts:
     """Starts processes of nodes on the hosts where they are placed, or on those that stand in for them."""
 
-    def __init__(self, deployment: Deployment, found: Reached) -> None:
+    def __init__(self, deployment: Deployment, found: Reached, forks: ForkServer) -> None:
+        self._forks = forks  # has processes of this machine forked
         self._hosts = deployment.hosts
         self._placed = deployment.placed
         self._far = {name: FarHost(self._hosts[name], link, greeting) for name, (link, greeting) in found.links.items()}
@@ -85,7 +87,7 @@ class Hosts:
         host = self._now(orders[0].name)
         if host in self._far:
             return self._far[host].start(orders)
-        children = await start_process(orders, overhearing)
+        children = await start_process(orders, overhearing, self._forks)
         for child in children:
             child.host = host
         return children

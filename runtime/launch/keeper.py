@@ -36,6 +36,7 @@ from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.host.installed import installed_digest, installed_version
 from hierax.runtime.host.streams import own_input, own_output
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, start_process
+from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import Frames, NodeOrder, frame, next_frames, write_whole
 from hierax.runtime.launch.keeper_link import MARK
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
@@ -55,14 +56,15 @@ def main() -> None:
     os.set_blocking(orders, False)
     os.set_blocking(words, False)
     try:
-        anyio.run(_run, orders, words)
+        with ForkServer().start() as forks:
+            anyio.run(_run, orders, words, forks)
     finally:
         remove_orphaned_segments()
 
 
-async def _run(orders: int, words: int) -> None:
+async def _run(orders: int, words: int, forks: ForkServer) -> None:
     async with anyio.create_task_group() as tasks:
-        keeper = Keeper(tasks, orders, words)
+        keeper = Keeper(tasks, orders, words, forks)
         try:
             await keeper.obey()
         finally:
@@ -74,8 +76,9 @@ async def _run(orders: int, words: int) -> None:
 class Keeper:
     """Keeps the processes of one launch on this host."""
 
-    def __init__(self, tasks: anyio.abc.TaskGroup, orders: int, words: int) -> None:
+    def __init__(self, tasks: anyio.abc.TaskGroup, orders: int, words: int, forks: ForkServer) -> None:
         self._tasks = tasks  # in which it listens to processes
+        self._forks = forks  # has the processes forked
         self._orders, self._words = orders, words  # descriptors that do not block
         self._children: dict[str, Child] = {}
         self._queues: dict[str, MemoryObjectSendStream[bytes]] = {}
@@ -123,7 +126,7 @@ class Keeper:
 
     async def _do(self, value: Mapping[str, Any]) -> None:
         if "start" in value:
-            child = (await start_process([_order(each) for each in value["start"]], self._overhearing))[0]
+            child = (await start_process([_order(each) for each in value["start"]], self._overhearing, self._forks))[0]
             self._children[child.token] = child
             self._queues[child.token], queue = anyio.create_memory_object_stream[bytes](inf)
             self._tasks.start_soon(_feed, child, queue)
@@ -147,7 +150,7 @@ class Keeper:
         await child.listen(pass_on)
         del self._children[child.token]
         self._queues.pop(child.token).close()
-        await child.close()
+        child.close()
         await self._say({"ended": child.token, "code": child.process.returncode})
 
     def print(self, node: str, line: str) -> None:
@@ -182,11 +185,9 @@ def _order(value: Value) -> NodeOrder:
 
 async def _feed(child: Child, queue: MemoryObjectReceiveStream[bytes]) -> None:
     """Pass on what a process is told; one that does not listen holds up nobody else."""
-    stdin = child.process.stdin
-    assert stdin is not None
-    with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
+    with suppress(OSError):
         async for data in queue:
-            await stdin.send(data)
+            await child.process.send(data)
 
 
 class _Overhearing(Overhearing):

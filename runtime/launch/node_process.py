@@ -1,4 +1,4 @@
-"""A process of a node, or of several that share it; started by a supervisor, never by hand.
+"""A process of a node, or of several that share it; forked for a supervisor (`forking`), never started by hand.
 
 Each node has a thread (`hierax.runtime.launch.node_worker`): it receives, runs the engine and
 sends, with nothing else on its way. Another one has the event loop: it greets neighbours until
@@ -20,7 +20,7 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
-from hierax.runtime.host.streams import own_input, own_output
+from hierax.runtime.host.streams import name_process, own_input, own_output
 from hierax.runtime.launch.frames import FINISH, KEPT, LEAVE, STOP, Frames, NodeOrder, next_frames
 from hierax.runtime.launch.kept_elsewhere import ToldRecords
 from hierax.runtime.launch.node_worker import NodeWorker
@@ -37,16 +37,14 @@ BUG = 3  # exit code where a process ends with a traceback
 _log = logging.getLogger("hierax")
 
 
-def main() -> None:
-    """Read the order, live, exit."""
-    descriptor = int(sys.argv.pop())
-    os.set_inheritable(descriptor, False)
+def main(descriptor: int) -> NoReturn:
+    """Read the order, live, exit. `descriptor`: of the console."""
     console = Console(descriptor)
     plain = sys.stderr = console_stream(console)
     log_console()
     status = own_output()  # what a node prints must not mix with the frames
-    if isinstance(sys.stdout, io.TextIOWrapper):  # nor may a character that cannot be printed end it
-        sys.stdout.reconfigure(errors="backslashreplace")
+    # nor may a character that cannot be printed end it
+    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), sys.stdout.encoding, "backslashreplace")
     orders = own_input()  # nor may a node, or a program that it starts, read them
     code = BUG
     try:
@@ -81,6 +79,7 @@ async def _main(orders: int, status: int, console: Console) -> int:
     home = ProcessHome(len(nodes))
     workers = {order.process: NodeWorker(order, status, _wait_in_event_loop, home) for order in nodes}
     name = nodes[0].shares or nodes[0].name
+    name_process(name)
     whens = {order.name: workers[order.process].when for order in nodes}
     told = {order.name: log for order in nodes if (log := workers[order.process].log) is not None}
     if told and name not in told:  # what is none of the nodes' goes by way of the first one
@@ -212,7 +211,3 @@ def _wait_in_event_loop(awaitable: Awaitable[Any]) -> Any:
         return await awaitable
 
     return anyio.from_thread.run(wait)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,7 +10,7 @@ import anyio
 import anyio.abc
 
 from hierax.runtime.deployment.deployment import ProcessTerms
-from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts, start_process
+from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts
 from hierax.runtime.launch.frames import ENDED, Frames, NodeOrder
 
 Notify = Callable[[str], None]  # tells people what happens
@@ -56,10 +56,6 @@ class ProcessSupervisor(ABC):
         self.tasks.start_soon(self._listen, children)
         return children
 
-    async def _begin(self, orders: Sequence[NodeOrder]) -> list[Child]:
-        """Start the process of some orders, wherever it is to run."""
-        return await start_process(orders, self.overhearing)
-
     async def end_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
         """End every process that is left: first kindly, then not; for the first, each has this time."""
         self.ending = True
@@ -74,9 +70,9 @@ class ProcessSupervisor(ABC):
             child.kill()
         await self._wait_for_all(END_TIMEOUT_S)
 
-    async def close(self) -> None:
+    def close(self) -> None:
         for child in self.children:
-            await child.close()
+            child.close()
 
     async def _wait_for_all(self, timeout_s: float) -> None:
         """Bounded, as a program that a node has started may hold its pipes open when the node is gone."""
@@ -112,6 +108,10 @@ class ProcessSupervisor(ABC):
         """A process has ended before its time, with these of its nodes; all that they said is taken in."""
         for child in children:
             await self._on_end(child)
+
+    @abstractmethod
+    async def _begin(self, orders: Sequence[NodeOrder]) -> list[Child]:
+        """Start the process of some orders, wherever it is to run."""
 
     @abstractmethod
     def _take(self, child: Child, value: dict[str, Any]) -> None:

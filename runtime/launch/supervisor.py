@@ -21,6 +21,7 @@ from hierax.runtime.execution.timing import timing_of
 from hierax.runtime.host.run_secret import new_secret
 from hierax.runtime.launch.audit import Audit
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
+from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
 from hierax.runtime.launch.hosts import Hosts, Reached, reached
@@ -63,6 +64,7 @@ def launch(
     recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
     opened: Callable[[str, str], None] = lambda endpoint, secret: None,  # told where it is reached, and its secret
     broken: threading.Event | None = None,  # set by who wants it to end, as a signal does; needed outside main threads
+    forks: ForkServer | None = None,  # has the processes forked, where it was started already; is closed at the end
 ) -> Report:
     """Run a deployment with each node in a process of its own, over Zenoh.
 
@@ -71,7 +73,7 @@ def launch(
     """
     begun_s = time.perf_counter()
     deployment.refuse_rates("a launch")
-    with ExitStack() as stack:
+    with (forks or ForkServer()).start() as forks, ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
         found = stack.enter_context(reached(deployment))
         if found.links and host is None:
@@ -92,7 +94,7 @@ def launch(
         orders.save()
         try:
             opened(hub.endpoint, secret)
-            return anyio.run(_run, orders, roster, hub, found, notify, recording, begun_s, broken)
+            return anyio.run(_run, orders, roster, hub, found, forks, notify, recording, begun_s, broken)
         except _Interruption as error:
             raise KeyboardInterrupt from error
     raise AssertionError  # pragma: no cover - `with` never swallows
@@ -103,6 +105,7 @@ async def _run(
     roster: Roster,
     hub: Hub,
     found: Reached,
+    forks: ForkServer,
     notify: Notify,
     recording: RecordingRequest | None,
     begun_s: float,
@@ -113,7 +116,7 @@ async def _run(
     pid, is_open = os.getpid(), deployment.open
     running = Running(orders.run_id, deployment.name, hub.endpoint, pid, path, orders.overrides, is_open)
     register(running, orders.secret)
-    hosts = Hosts(deployment, found)
+    hosts = Hosts(deployment, found, forks)
     supervisor = Supervisor(orders, roster, hub, hosts, notify, recording, broken)
     try:
         await supervisor.run(begun_s)
@@ -295,7 +298,7 @@ class Supervisor:
         await self._processes.end_all(END_TIMEOUT_S if graceful is None else CLOSE_S)
         if graceful is not None:
             graceful.recall()
-        await self._processes.close()
+        self._processes.close()
 
     @asynccontextmanager
     async def _unless_broken(self) -> AsyncIterator[None]:

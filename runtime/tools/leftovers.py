@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-NODE_PROCESS = "hierax.runtime.launch.node_process"
+NODE_PROCESS = "hierax.runtime.launch.forking"  # what they are forked from, and so they themselves
 _FOLDER = re.compile(r"hierax-[a-z0-9_]{8}")
 _SLOT = re.compile(r".+\.(0|1|lock)|run\.json")
 

@@ -20,6 +20,7 @@ from unittest.mock import patch
 import msgpack
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.launch.fork_server import FORKING
 from support import faults
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
@@ -78,12 +79,26 @@ def is_alive(pid: int) -> bool:
 
 
 def processes_of(parent: int) -> list[int]:
+    """The children of a process, if it lives, and, in place of what nodes are forked from, those."""
+    own = command_of(parent)
+    children = [pid for pid in processes_below(parent) if command_of(pid) not in (own, [])]  # their program has begun
+    return [pid for child in children for pid in (processes_below(child) if FORKING in command_of(child) else [child])]
+
+
+def processes_below(parent: int) -> list[int]:
     """The children of a process, if it lives."""
     try:
-        children = Path(f"/proc/{parent}/task/{parent}/children").read_text()
+        return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
     except (FileNotFoundError, ProcessLookupError):
         return []
-    return [int(pid) for pid in children.split()]
+
+
+def command_of(pid: int) -> list[str]:
+    """A process's arguments, if it lives."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text().split("\0")[:-1]
+    except (FileNotFoundError, ProcessLookupError):
+        return []
 
 
 def until(condition: Callable[[], bool], what: str, timeout_s: float = TIMEOUT_S) -> float:

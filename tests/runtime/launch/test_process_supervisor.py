@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from support.deployments import write
 
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.launch.child import Child, Overhearing, ProcessState
+from hierax.runtime.launch.child import Child, Overhearing, ProcessState, start_process
+from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import BEGIN, NodeOrder
 from hierax.runtime.launch.orders import LaunchOptions, Orders
 from hierax.runtime.launch.process_supervisor import ProcessSupervisor
@@ -25,6 +27,15 @@ class Noting(ProcessSupervisor):
         super().__init__(tasks, Overhearing("0", lambda: 0), lambda name: ProcessTerms(), print, print)
         self.ends: list[tuple[str, ProcessState, str]] = []
         self.ended = anyio.Event()
+
+        self.forks = ForkServer()
+
+    def close(self) -> None:
+        super().close()
+        self.forks.close()
+
+    async def _begin(self, orders: Sequence[NodeOrder]) -> list[Child]:
+        return await start_process(orders, self.overhearing, self.forks)
 
     def _take(self, child: Child, value: dict[str, Any]) -> None:
         raise AssertionError(value)
@@ -52,7 +63,7 @@ def test_a_process_that_ends_by_itself_is_heard_of_with_its_last_words(tmp_path:
             ((name, state, why),) = supervisor.ends
             assert (name, state) == ("world", ProcessState.ENDED)
             assert "support" in why
-            await supervisor.close()
+            supervisor.close()
         supervisor.overhearing.close()
 
     anyio.run(main)
@@ -67,7 +78,7 @@ def test_a_process_that_is_ended_is_nobody_s_loss(tmp_path: Path) -> None:
                 await supervisor.end_all()
                 await child.ended.wait()
             assert (child.state, child.alive, supervisor.ends) == (ProcessState.ENDED, False, [])
-            await supervisor.close()
+            supervisor.close()
         supervisor.overhearing.close()
 
     anyio.run(main)

@@ -66,7 +66,7 @@ def supervised(main: Callable[[RosterSupervisor], Awaitable[None]]) -> None:
         async with anyio.create_task_group() as tasks:
             orders, hub = cast(Orders, FewOrders()), cast(Hub, DeafHub())
             supervisor = RosterSupervisor(tasks, orders, hub, cast(Hosts, None), lambda what: None, fail)
-            world = Child(cast(NodeOrder, Order()), cast(Any, Process()), -1, cast(Any, None))
+            world = Child(cast(NodeOrder, Order()), cast(Any, Process()), cast(Any, None))
             supervisor.current["world"] = world
             await main(supervisor)
             supervisor.overhearing.close()
@@ -114,14 +114,14 @@ def test_a_process_that_goes_before_its_place_is_known_here_is_told_of() -> None
 
 
 def test_a_process_is_in_one_state_after_the_other() -> None:
-    child = Child(cast(NodeOrder, Order()), cast(Any, Process()), -1, cast(Any, None))
+    child = Child(cast(NodeOrder, Order()), cast(Any, Process()), cast(Any, None))
     assert (child.state, child.came_up) == (ProcessState.STARTING, False)
     assert not child.take({"status": BEAT})
     assert child.take({"status": UP})
     assert (child.state, child.came_up) == (ProcessState.UP, True)
     assert child.take({"status": REPORT, "belief": None})
     assert (child.state, child.came_up) == (ProcessState.LEAVING, True)
-    other = Child(cast(NodeOrder, Order()), cast(Any, Process()), -1, cast(Any, None))
+    other = Child(cast(NodeOrder, Order()), cast(Any, Process()), cast(Any, None))
     assert other.take({"status": FAILED, "message": "no", "where": "", "final": False})
     assert (other.state, other.came_up, str(other.last_words)) == (ProcessState.LEAVING, False, "no")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-if "hierax.runtime.launch.node_process" in sys.orig_argv:
+if "hierax.runtime.launch.forking" in sys.orig_argv:
     from support.faults import plant_next
 
     from hierax.runtime.launch import node_worker

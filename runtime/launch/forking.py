@@ -1,0 +1,91 @@
+"""The process from which those of nodes are forked: it has imported what all of them need, and does nothing else.
+
+No thread, session or event loop is there when it forks. What it is told comes in single bytes over its line, a socket,
+each with the file descriptors that are for the new process: a socket for its number, a handle and its exit code, its
+standard streams, and that of the console. Started by `hierax.runtime.launch.fork_server`, never by hand."""
+
+import gc
+import os
+import select
+import socket
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
+
+from hierax.runtime.launch import node_process
+from hierax.runtime.launch.fork_server import DESCRIPTORS, FORK, NUMBER
+
+_CONSOLE = 3  # the descriptor of it in a node's process
+_MOST = 1 << 20  # no descriptor has a greater number
+
+Living = dict[int, tuple[int, socket.socket]]
+"""By the handle of a process its number, and where its exit code goes."""
+
+
+def main() -> None:
+    """Fork until nobody is at the line's other end any more, and all that were forked have ended."""
+    line = socket.socket(fileno=int(sys.argv.pop()))
+    line.set_inheritable(False)
+    gc.collect()
+    gc.freeze()  # so that no page is copied because the collector has looked at it
+    living: Living = {}
+    ready = select.poll()
+    ready.register(line, select.POLLIN)
+    is_asked = True
+    while is_asked or living:
+        for descriptor, _ in ready.poll():
+            if descriptor != line.fileno():
+                ready.unregister(descriptor)
+                _tell_end(descriptor, *living.pop(descriptor))
+                continue
+            word, descriptors, _, _ = socket.recv_fds(line, len(FORK), DESCRIPTORS)
+            if word:
+                ready.register(_fork(line, living, descriptors), select.POLLIN)
+            else:
+                ready.unregister(line)
+                is_asked = False
+    os._exit(0)
+
+
+def _fork(line: socket.socket, living: Living, descriptors: Sequence[int]) -> int:
+    """Do it; the handle of the new process."""
+    life = socket.socket(fileno=descriptors[0])
+    pid = os.fork()
+    if not pid:
+        for each in (line, life, *(life for _, life in living.values())):
+            each.detach()  # their numbers mean something else from now on
+        _become_node(descriptors[1:])
+    for descriptor in descriptors[1:]:
+        os.close(descriptor)
+    handle = os.pidfd_open(pid)
+    with suppress(OSError):  # who asked does not wait for it any more, and so it ends by itself
+        socket.send_fds(life, [NUMBER.pack(pid)], [handle])
+    living[handle] = pid, life
+    return handle
+
+
+def _tell_end(handle: int, pid: int, life: socket.socket) -> None:
+    _, status = os.waitpid(pid, 0)
+    with suppress(OSError):
+        life.send(NUMBER.pack(os.waitstatus_to_exitcode(status)))
+    life.close()
+    os.close(handle)
+
+
+def _become_node(descriptors: Sequence[int]) -> NoReturn:
+    """In the new process: have streams and a group of its own, and none of what the others have."""
+    try:
+        os.setsid()
+        for number, descriptor in enumerate(descriptors):
+            os.dup2(descriptor, number, inheritable=number != _CONSOLE)
+        os.closerange(_CONSOLE + 1, _MOST)
+        if "numpy.random" in sys.modules:
+            sys.modules["numpy.random"].seed()  # else all would have the same numbers
+        node_process.main(_CONSOLE)
+    finally:
+        os._exit(node_process.BUG)
+
+
+if __name__ == "__main__":
+    main()

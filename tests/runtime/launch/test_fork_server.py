@@ -1,0 +1,84 @@
+"""Processes of nodes are forked from one: what they share with one another, and what follows when it is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import anyio
+import pytest
+from support.device_nodes import DEVICE, MOVES_S
+from support.launched import Launched, command_of, processes_below, run_here, until
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.launch import fork_server
+from hierax.runtime.launch.fork_server import FORKING, ForkServer
+
+EPOCHS = 400
+NODES = ("arm", "eye", "spatial", "world")
+
+
+def origin_of(launch: Launched) -> int:
+    """What its nodes are forked from."""
+    return next(pid for pid in processes_below(launch.process.pid) if FORKING in command_of(pid))
+
+
+def pipes_of(pid: int) -> set[str]:
+    """The pipes that a process holds open."""
+    folder = Path(f"/proc/{pid}/fd")
+    return {found for each in folder.iterdir() if (found := os.readlink(each)).startswith("pipe:")}
+
+
+def test_nodes_outlive_what_they_were_forked_from_and_others_are_forked_from_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "device.yaml"
+    text = DEVICE.format(log=tmp_path / "device.log", on_uncertain_act="repeat", deadline_s="null", eye="")
+    file.write_text(text, encoding="utf-8")
+    wanted = run_here(str(file), "--epochs", str(EPOCHS))["digest"]
+    monkeypatch.setenv(MOVES_S, "0.01")
+    with Launched(tmp_path, str(file), "--epochs", str(EPOCHS)) as launch:
+        launch.until_epoch(5)
+        first, origin = {name: launch.until_pid(name) for name in NODES}, origin_of(launch)
+        os.kill(origin, signal.SIGKILL)
+        epoch = launch.epoch
+        until(lambda: launch.epoch > epoch + 5, "epochs without what the nodes were forked from")
+        assert {name: launch.pid(name) for name in NODES} == first
+        launch.kill("spatial")
+        assert launch.until_pid("spatial", other_than=first["spatial"])
+        assert origin_of(launch) != origin
+        launch.end()
+        assert launch.process.returncode == 0, launch.err
+        assert launch.written[EPOCHS].hex() == wanted
+        assert launch.err.count("it is started again") == 1, launch.err
+
+
+def test_nodes_have_their_own_streams_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pipe that another process held open would never end."""
+    file = tmp_path / "device.yaml"
+    text = DEVICE.format(log=tmp_path / "device.log", on_uncertain_act="repeat", deadline_s="null", eye="")
+    file.write_text(text, encoding="utf-8")
+    monkeypatch.setenv(MOVES_S, "0.01")
+    with Launched(tmp_path, str(file), "--epochs", "100000") as launch:
+        launch.until_epoch(5)
+        launch.kill("eye")
+        launch.until_epoch(launch.epoch + 5)
+        console = os.readlink(f"/proc/{launch.process.pid}/fd/2")
+        held = [pipes_of(launch.until_pid(name)) - {console} for name in NODES]
+        assert all(len(pipes) >= 3 for pipes in held), held  # orders, status, what is printed
+        for at, pipes in enumerate(held):
+            for others in held[:at]:
+                assert not pipes & others
+
+
+def test_what_cannot_fork_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fork_server, "python_module", lambda module, *rest: [sys.executable, "-c", "pass"])
+
+    async def ask() -> None:
+        with ForkServer() as forks, anyio.fail_after(60):
+            await forks.fork(2, 2)
+
+    with pytest.raises(HieraxError, match="no process can be started"):
+        anyio.run(ask)
