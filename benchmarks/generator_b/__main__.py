@@ -29,7 +29,7 @@ from hierax.nodes.tracking.math.geometry import Floats, invert
 
 cv2.setNumThreads(1)
 FRAMES = 60
-VERSION = 1  # of the pictures: another one draws scenes anew
+VERSION = 2  # of the pictures: another one draws scenes anew
 
 
 def write(out: Path, kind: str, seed: int, frames: int, exact: bool, objects: int | None) -> Path:

@@ -68,10 +68,14 @@ def photograph(scene: Scene, lens: Lens, frame: int, gain: float, rng: np.random
     if lens.sharpening:
         picture += lens.sharpening * (picture - cv2.GaussianBlur(picture, (0, 0), 1.2))
     made: Array = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    if lens.jpeg:
-        _, content = cv2.imencode(".jpg", made, (cv2.IMWRITE_JPEG_QUALITY, lens.jpeg))
-        made = cv2.imdecode(content, cv2.IMREAD_COLOR)
-    return made
+    return squeezed(made, lens.jpeg) if lens.jpeg else made
+
+
+def squeezed(picture: Array, quality: int) -> Array:
+    """What JPEG leaves of a picture, uint8 RGB; quality: 1 to 100."""
+    # OpenCV takes the first channel for blue: as it is, what the eye sees least would be kept best.
+    _, content = cv2.imencode(".jpg", picture[..., ::-1], (cv2.IMWRITE_JPEG_QUALITY, quality))
+    return np.ascontiguousarray(cv2.imdecode(content, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def gain_of(scene: Scene, lens: Lens) -> float:

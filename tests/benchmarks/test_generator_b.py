@@ -42,6 +42,15 @@ np.save(sys.argv[1], poses)
 scene.stage.close()
 """
 
+SQUEEZED = f"""
+import sys; sys.path.insert(0, {str(PROGRAM)!r})
+import numpy as np, lens
+stripes = np.zeros((3, 16, 64, 3), np.uint8)
+for channel, picture in enumerate(stripes):
+    picture[:, ::2, channel] = 200
+np.save(sys.argv[1], [lens.squeezed(picture, 88) for picture in stripes])
+"""
+
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, timeout=600)
@@ -69,6 +78,14 @@ def write(folder: Path) -> None:
 
 def files(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_jpeg_keeps_green_stripes_best_and_blue_ones_least(out: Path, tmp_path: Path) -> None:
+    done = python("-c", SQUEEZED, str(tmp_path / "squeezed.npy"))
+    assert done.returncode == 0, done.stderr
+    left = np.load(tmp_path / "squeezed.npy").astype(float)
+    red, green, blue = (np.abs(np.diff(left[at, :, :, at], axis=1)).mean() for at in range(3))
+    assert 150.0 > green > red + 20.0 > blue + 40.0
 
 
 def volume(mesh: Mesh) -> float:
