@@ -34,6 +34,7 @@ class ForkServer:
     def __init__(self) -> None:
         self._line: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._was_asked = False  # whether it may have forked something
 
     def start(self) -> "ForkServer":
         """Start it, unless it is there; it imports while this process goes on."""
@@ -69,12 +70,15 @@ class ForkServer:
         if self._line is None or self._process is None:
             return
         self._line.close()
+        if not self._was_asked:  # it may import still, for nobody
+            self._process.kill()
         try:
             self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
         self._line = self._process = None
+        self._was_asked = False
 
     def __enter__(self) -> "ForkServer":
         return self
@@ -87,6 +91,7 @@ class ForkServer:
     async def _forked(self, printed: int, console: int) -> "ForkedProcess | None":
         """A process; None: there is nobody who forks it."""
         assert self._line is not None
+        self._was_asked = True
         life, its_life = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         life.setblocking(False)
         its_orders, orders = os.pipe()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -82,3 +83,24 @@ def test_what_cannot_fork_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with pytest.raises(HieraxError, match="no process can be started"):
         anyio.run(ask)
+
+
+def test_what_has_forked_nothing_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A launch that is refused would else wait until it has imported what nobody needs."""
+    killed: list[int] = []
+
+    class Endless(subprocess.Popen[bytes]):
+        def kill(self) -> None:
+            killed.append(self.pid)
+            super().kill()
+
+        def wait(self, timeout: float | None = None) -> int:
+            assert self.pid in killed, "it is waited for"
+            return super().wait(timeout)
+
+    endless = [sys.executable, "-c", "import signal; signal.pause()"]
+    monkeypatch.setattr(fork_server, "python_module", lambda module, *rest: endless)
+    monkeypatch.setattr(subprocess, "Popen", Endless)
+    with ForkServer().start():
+        pass
+    assert len(killed) == 1
