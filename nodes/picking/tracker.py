@@ -96,12 +96,17 @@ def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
 def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSpatial:
     """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them. Options
     are further ones of `SpatialNode`."""
+    return PickSpatial(first_bodies(scene, cubes), table=True, **options)
+
+
+def first_bodies(scene: int, cubes: int) -> list[FirstBody]:
+    """The cubes of a scene with their models, and a first guess at their poses."""
     objects: list[FirstBody] = []
     for place, pose in zip(planned(scene, cubes), guessed(scene, cubes), strict=True):
         mesh = box_mesh([place.side_m] * 3)
         model: Model = {"vertices": mesh.vertices, "faces": mesh.faces}
         objects.append({"id": place.id, "obj_id": place.id, "pose": pose, "model": model})
-    return PickSpatial(objects, table=True, **options)
+    return objects
 
 
 def poses_and_hand_seen(belief: Value) -> Elements:

@@ -9,7 +9,7 @@ import numpy as np
 from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.times import Times
 
-STALL_S = 0.5  # who is so late, and was on time before, was held up by more than work
+STALL_S = 0.5  # who is so late, and was not so before, was held up by more than work
 
 
 class Pace:
@@ -25,7 +25,7 @@ class Pace:
         self._is_warm = False
         self._first_s = math.nan
         self._slot = 0  # the next one
-        self._overdue = self._was_late = False
+        self._overdue = self._was_stalled = False
 
     def wait_s(self) -> float:
         """How long until the next epoch is due; 0 or less: it is."""
@@ -46,15 +46,15 @@ class Pace:
             self._first_s = now
         lateness_s = now - self._first_s - self._slot * self.period_s
         overdue = math.ceil((now - self._first_s) / self.period_s) - self._slot  # epochs, this one among them
-        was_late, is_late = self._was_late, self._overdue
-        self._was_late, self._overdue = is_late, False
+        was_stalled, is_late = self._was_stalled, self._overdue
+        self._was_stalled, self._overdue = is_late and lateness_s >= STALL_S, False
         passed = max(0, overdue - 1) if self._skips else 0
         self._slot += 1 + passed
         self._times.begun_late(lateness_s, epoch if is_late else None, passed)
         if not is_late:
             return ""
         begins, count = f"epoch {epoch} begins {1e3 * lateness_s:.1f} ms late", self._times.late.count
-        if lateness_s >= STALL_S and overdue > 1 and not was_late:
+        if self._was_stalled and overdue > 1 and not was_stalled:
             return f"{begins}: {overdue} epochs late, {'which are left out' if self._skips else 'which follow at once'}"
         return "" if count & (count - 1) else f"{begins}, as the one before was not done ({count} so far)"
 

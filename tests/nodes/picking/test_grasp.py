@@ -7,18 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hierax.nodes.picking.grasp import (
-    APPROACH,
-    CLOSE,
-    DESCEND,
-    HOLD,
-    LIFT,
-    RETREAT,
-    WATCH,
-    GraspNode,
-    held_now,
-)
+from hierax.nodes.picking.grasp import GraspNode, held_now
 from hierax.nodes.picking.panda import HOME_GRIPPER
+from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, HOLD, LIFT, RETREAT, WATCH
 from hierax.nodes.picking.planning import before
 from hierax.nodes.tracking.math.geometry import make_pose
 from hierax.runtime import Tick

@@ -21,7 +21,8 @@ from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Replay, allowance_of, check_names, other_settings, recorded_deployment
 from hierax.schemas.values import encode_value
 
-QUICK = dict.fromkeys(shipped(), ()) | {"tracking": ("frames=3", "cubes=2"), "pick": ("frames=3",)}
+QUICK = dict.fromkeys(shipped(), ()) | {"tracking": ("frames=3", "cubes=2")}
+QUICK |= dict.fromkeys(("pick", "tower"), ("frames=3",))
 """Settings with which a deployment takes little time."""
 
 SNIPPET = """\

@@ -1,0 +1,100 @@
+"""Where a cube that the hand holds can be put down: on another one, or at a free place of the table."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.picking.panda import HOME_RAD, joints_for
+from hierax.nodes.picking.planning import CLEARANCES_M, OPENING_M, Boxes, before, clear
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
+
+Body = Mapping[str, Any]
+
+GAP_M = 0.001  # so far above what it will stand on, a cube is let go
+ROOM_M = 0.035  # between the circles around cubes on the table, so that a hand gets between them
+_LOW, _HIGH, _STEP_M = (0.38, -0.20), (0.62, 0.20), 0.02  # of the table, what the arm reaches and the camera sees
+_REACHED = 1e-3
+_QUARTERS = (0.0, np.pi / 2, -np.pi / 2, np.pi)
+
+
+def place_on(
+    held: Body, lower: Body, bodies: Sequence[Body], box_from_gripper: Floats, width_m: float
+) -> Floats | None:
+    """world_from_gripper where a held box stands on the middle of another one, its sides along that one's; None: the
+    arm does not reach it, or the hand would touch something.
+
+    Args: held, lower: two of the bodies, as `hierax.nodes.picking.tracker.scene_known` tells them; bodies: all.
+        box_from_gripper: how the box is held; width_m: between the fingers."""
+    along = _yaw(lower["pose"]) - _yaw(held["pose"])
+    least = (along + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    middle = lower["pose"][:3, 3] + [0.0, 0.0, _half_height(lower) + _half_height(held) + GAP_M]
+    others = [body for body in bodies if body is not held]
+    for quarter in _QUARTERS:
+        pose = _turned(held["pose"], least + quarter, middle)
+        found = _fits(pose @ box_from_gripper, others, width_m)
+        if found is not None:
+            return found
+    return None
+
+
+def place_on_table(held: Body, bodies: Sequence[Body], box_from_gripper: Floats, width_m: float) -> Floats | None:
+    """The same at a free place of the table: the nearest to where the box is; None: there is none."""
+    others = [body for body in bodies if body is not held]
+    spots = np.stack(np.meshgrid(*(np.arange(*ends, _STEP_M) for ends in zip(_LOW, _HIGH, strict=True))), axis=-1)
+    spots = spots.reshape(-1, 2)
+    rooms = [
+        np.linalg.norm(spots - body["pose"][:2, 3], axis=1) - _radius(body) - _radius(held) - ROOM_M for body in others
+    ]
+    free = np.all(np.stack(rooms) > 0.0, axis=0) if rooms else np.ones(len(spots), dtype=bool)
+    nearest = np.argsort(np.linalg.norm(spots - held["pose"][:2, 3], axis=1), kind="stable")
+    for spot in spots[nearest[free[nearest]]]:
+        pose = _turned(held["pose"], 0.0, np.array([*spot, _half_height(held) + GAP_M]))
+        found = _fits(pose @ box_from_gripper, others, width_m)
+        if found is not None:
+            return found
+    return None
+
+
+def top_of(bodies: Sequence[Body]) -> float:
+    """How high the highest of some bodies is, m; 0 of none."""
+    return max((float(body["pose"][2, 3]) + _half_height(body) for body in bodies), default=0.0)
+
+
+def at_height(gripper: Floats, height_m: float) -> Floats:
+    """A gripper's pose, not below a height."""
+    raised: Floats = gripper.copy()
+    raised[2, 3] = max(raised[2, 3], height_m)
+    return raised
+
+
+def _fits(gripper: Floats, others: Sequence[Body], width_m: float) -> Floats | None:
+    poses = [body["pose"] for body in others]
+    boxes = Boxes(
+        np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3),
+        np.array([pose[:3, :3] for pose in poses]).reshape(-1, 3, 3),
+        np.array([body["size"] for body in others]).reshape(-1, 3) / 2,
+    )
+    joints, off = joints_for(before(gripper), HOME_RAD)
+    if off > _REACHED or joints_for(gripper, joints)[1] > _REACHED:
+        return None
+    return gripper if clear(gripper, width_m + OPENING_M, boxes, CLEARANCES_M[-1]) else None
+
+
+def _turned(pose: Floats, angle: float, middle: Floats) -> Floats:
+    """A pose turned about the vertical, at another place."""
+    return make_pose(exp_so3(np.array([0.0, 0.0, angle])) @ pose[:3, :3], middle)
+
+
+def _yaw(pose: Floats) -> float:
+    """How a box is turned about the vertical: the angle of that of its axes that is the most level."""
+    axis = pose[:3, int(np.abs(pose[2, :3]).argmin())]
+    return float(np.arctan2(axis[1], axis[0]))
+
+
+def _half_height(body: Body) -> float:
+    return 0.5 * float(np.abs(body["pose"][2, :3]) @ body["size"])
+
+
+def _radius(body: Body) -> float:
+    return 0.5 * float(np.linalg.norm(body["size"][:2]))

@@ -1,0 +1,103 @@
+"""The world of the tower building arm: that of the picking one, which also knows by the truth what was built."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.picking.layout import SIDES_M
+from hierax.nodes.picking.world import PickWorld
+from hierax.nodes.tower.goals import read_towers
+from hierax.runtime import Elements, Value
+
+DONE_S = 1.0  # a tower is done when it has stood for so long with the hand away from it
+
+_UPRIGHT = 0.99  # cosine of how far a cube may lean
+_TOUCHES_M = 0.005  # so much higher or lower than it should be, a cube does not stand on the one below
+_AWAY_M = 0.06  # so far from the gripper a cube is not held
+_RAISED_M = 0.03  # a cube was moved when it was so high above where it stood
+
+
+class TowerWorld(PickWorld):
+    """An arm over a table with cubes, of which towers are asked for.
+
+    The belief is that of `PickWorld`, with ``done_s`` (how long all towers have stood), ``actions`` (how many times a
+    cube was raised by the hand) and ``raised`` (the cubes that are, each with the height at which it began).
+
+    Args: tower: as `hierax.nodes.tower.goals.read_towers` has it; scene, cubes, frames, options: as `PickWorld` has
+        them. Raises ValueError: the tower cannot be built of these cubes."""
+
+    def __init__(
+        self, tower: Any, scene: int = 0, cubes: int = len(SIDES_M), frames: int = 2400, **options: Any
+    ) -> None:
+        self._towers = read_towers(tower, cubes)
+        super().__init__(scene, cubes, frames, **options)
+        rests = {str(body["id"]): float(body["pose"][2, 3]) for body in self._first["bodies"]}
+        self._first = {**self._first, "done_s": 0.0, "actions": 0, "raised": (), "rests": rests}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ of `PickWorld`, and what has come of it."""
+        after = super().predict(context, actions, belief)
+        bodies = {body["id"]: body for body in after["bodies"]}
+        raised, rests = set(belief["raised"]), dict(belief["rests"])
+        begun = 0
+        for number, body in bodies.items():
+            height = float(body["pose"][2, 3])
+            if _is_near_hand(body, after) and height > rests[str(number)] + _RAISED_M:
+                begun += number not in raised
+                raised.add(number)
+            elif not _is_near_hand(body, after):
+                raised.discard(number)
+                rests[str(number)] = height
+        stands = self._stands(after) and not raised
+        done_s = belief["done_s"] + 1.0 / self._fps if stands else 0.0
+        counted = {"actions": belief["actions"] + begun, "raised": tuple(sorted(raised)), "rests": rests}
+        return {**after, **counted, "done_s": done_s}
+
+    def finished(self, belief: Value) -> bool:
+        """Whether all towers have stood long enough, or the frames are over."""
+        return belief["frame"] >= self._frames or belief["done_s"] >= DONE_S - 1e-9
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """By the truth: how many towers stand, how far the middle of a cube in them is beside that of the one below at
+        most (mm; -1 where none stands on another), and how many times a cube was raised."""
+        bodies = {body["id"]: body for body in belief["bodies"]}
+        done = [tower for tower in self._towers if _is_built(tower, bodies)]
+        beside = [_beside_mm(bodies[upper], bodies[lower]) for tower in done for lower, upper in pairwise(tower)]
+        return {
+            "towers_done": float(len(done)),
+            "placed_mm_max": max(beside, default=-1.0),
+            "actions": float(belief["actions"]),
+        }
+
+    def _stands(self, belief: Value) -> bool:
+        bodies = {body["id"]: body for body in belief["bodies"]}
+        return all(_is_built(tower, bodies) for tower in self._towers)
+
+
+def _is_built(tower: tuple[int, ...], bodies: Mapping[int, Mapping[str, Any]]) -> bool:
+    """Whether each cube of a tower stands on the one below, the first one on the table, and nothing on the last."""
+    height = 0.0
+    for level, number in enumerate(tower):
+        body = bodies[number]
+        height += body["side_m"]
+        if abs(float(body["pose"][2, 3]) + body["side_m"] / 2 - height) > _TOUCHES_M * (level + 1):
+            return False
+        if float(np.abs(body["pose"][2, :3]).max()) < _UPRIGHT:
+            return False
+        if level and _beside_mm(body, bodies[tower[level - 1]]) > 500.0 * bodies[tower[level - 1]]["side_m"]:
+            return False
+    top = bodies[tower[-1]]
+    others = [body for number, body in bodies.items() if number not in tower]
+    return not any(
+        _beside_mm(body, top) < 1000.0 * body["side_m"] and body["pose"][2, 3] > top["pose"][2, 3] for body in others
+    )
+
+
+def _beside_mm(upper: Mapping[str, Any], lower: Mapping[str, Any]) -> float:
+    return 1000.0 * float(np.linalg.norm(upper["pose"][:2, 3] - lower["pose"][:2, 3]))
+
+
+def _is_near_hand(body: Mapping[str, Any], belief: Value) -> bool:
+    return float(np.linalg.norm(body["pose"][:3, 3] - belief["setpoint"][:3, 3])) < _AWAY_M

@@ -1,0 +1,163 @@
+"""The skills node: a cube is moved as it is told, in phases; tasks that change count where they can."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hierax.nodes.picking.panda import HOME_GRIPPER
+from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
+from hierax.nodes.tower.skills import (
+    CARRY,
+    LOWER,
+    OPEN,
+    OVER,
+    REST,
+    SkillsNode,
+    gripper_commands,
+    held_and_standing,
+    scene_and_skill,
+)
+from hierax.nodes.tracking.math.geometry import invert, make_pose
+from hierax.runtime import Tick
+
+SIDE_M = 0.045
+SURE = np.diag([1e-6] * 3 + [1e-4] * 3)
+
+
+class Obedient:
+    """The gripper is where it is told to be, at once; what it closes on moves with it, and stays where it opens."""
+
+    def __init__(self) -> None:
+        self.node = SkillsNode()
+        self.belief = self.node.initial_belief()
+        self.time_s = 0.0
+        self.gripper, self.width = HOME_GRIPPER, 0.08
+        self.poses = {
+            number: make_pose(np.eye(3), np.array([x, y, SIDE_M / 2]))
+            for number, (x, y) in enumerate([(0.5, 0.0), (0.45, 0.12), (0.42, -0.13)], start=1)
+        }
+        self.slips = False
+        self.phases: list[str] = []
+        self._grips: tuple[int, Any] | None = None
+
+    def cube(self, number: int) -> Any:
+        known = {"size": np.full(3, SIDE_M), "covariance": SURE, "status": "tracked"}
+        return {"id": number, "pose": self.poses[number], **known}
+
+    def epoch(self, task: tuple[int, int] | None) -> Any:
+        seen = (*map(self.cube, self.poses), {"hand": {"gripper": self.gripper, "width": self.width}})
+        self.belief = self.node.observe(seen, self.belief, Tick(time_s=self.time_s))
+        tasks = () if task is None else ({"cube": task[0], "onto": task[1]},)
+        actions = self.node.policies()[self.node.select_policy(tasks)](self.belief)
+        self.belief = self.node.predict((), actions, self.belief)
+        (wish,) = gripper_commands(actions)
+        self._obey(wish)
+        self.time_s += 0.05
+        if self.phases[-1:] != [self.belief["phase"]]:
+            self.phases.append(self.belief["phase"])
+        return wish
+
+    def until(self, phase: str, task: tuple[int, int] | None, epochs: int = 200) -> Any:
+        for _ in range(epochs):
+            wish = self.epoch(task)
+            if self.belief["phase"] == phase:
+                return wish
+        raise AssertionError(f"{phase} never came: {self.phases}")
+
+    def _obey(self, wish: Any) -> None:
+        self.gripper = wish["gripper"]
+        near = [number for number, pose in self.poses.items() if np.linalg.norm((pose - self.gripper)[:3, 3]) < 0.02]
+        if wish["width"] > SIDE_M or self.slips:
+            self._grips = None
+        elif self._grips is None and near:
+            self._grips = near[0], invert(self.gripper) @ self.poses[near[0]]
+        if self._grips is not None:
+            self.poses[self._grips[0]] = self.gripper @ self._grips[1]
+        self.width = max(wish["width"], SIDE_M if self._grips is not None else 0.0)
+
+
+def test_a_cube_is_moved_onto_another_one_and_the_arm_watches_again() -> None:
+    world = Obedient()
+    world.until(OPEN, (2, 1))
+    world.until(WATCH, (2, 1))
+    assert world.phases == [WATCH, OVER, APPROACH, DESCEND, CLOSE, LIFT, CARRY, LOWER, OPEN, RETREAT, WATCH]
+    np.testing.assert_allclose(world.poses[2][:3, 3] - world.poses[1][:3, 3], [0.0, 0.0, SIDE_M], atol=0.0015)
+    assert world.node.metrics(world.belief)["moves"] == 1.0
+
+
+def test_a_cube_is_moved_to_a_free_place_of_the_table() -> None:
+    world = Obedient()
+    world.poses[2] = world.poses[1].copy()
+    world.poses[2][2, 3] += SIDE_M
+    world.until(OPEN, (2, 0))
+    place = world.poses[2][:3, 3]
+    assert abs(place[2] - SIDE_M / 2) < 0.0015
+    away = [np.linalg.norm((place - world.poses[other][:3, 3])[:2]) for other in (1, 3)]
+    assert min(away) > SIDE_M * 2**0.5
+
+
+def test_which_cube_is_held_is_told_up_and_down() -> None:
+    world = Obedient()
+    assert scene_and_skill(world.belief) == ()
+    for phase, held in ((CLOSE, None), (LIFT, 2), (CARRY, 2), (LOWER, 2), (OPEN, None)):
+        world.until(phase, (2, 1))
+        assert held_and_standing(world.belief) == ({"held": held, "stands": ()},)
+        assert scene_and_skill(world.belief)[-1]["skill"] == {"phase": phase, "goal": (2, 1), "holding": held}
+
+
+@pytest.mark.parametrize("phase", [WATCH, OVER, APPROACH])
+def test_before_the_hand_goes_down_another_task_counts_at_once(phase: str) -> None:
+    world = Obedient()
+    world.until(phase, (2, 1))
+    world.epoch((3, 1))
+    world.epoch((3, 1))
+    assert (world.belief["phase"], world.belief["goal"], world.belief["target"]) == (WATCH, (3, 1), None)
+    world.until(OPEN, (3, 1))
+    assert world.belief["target"] == 3
+
+
+def test_what_is_carried_goes_elsewhere_when_that_is_asked_for() -> None:
+    world = Obedient()
+    world.until(CARRY, (2, 1))
+    world.until(OPEN, (2, 3))
+    np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[3][:2, 3], atol=0.0015)
+    assert world.phases.count(LIFT) == 1
+
+
+def test_another_cube_waits_until_the_one_in_hand_is_put_down() -> None:
+    world = Obedient()
+    world.until(CARRY, (2, 1))
+    world.until(WATCH, (3, 2))
+    np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[1][:2, 3], atol=0.0015)
+    world.until(OPEN, (3, 2))
+    np.testing.assert_allclose(world.poses[3][2, 3], 2.5 * SIDE_M, atol=0.003)
+
+
+@pytest.mark.parametrize("phase", [CLOSE, LIFT, CARRY])
+def test_a_cube_that_slips_is_taken_again(phase: str) -> None:
+    world = Obedient()
+    world.until(phase, (2, 1))
+    world.slips = True
+    world.until(RETREAT, (2, 1))
+    world.slips = False
+    world.poses[2][2, 3] = SIDE_M / 2
+    world.until(OPEN, (2, 1))
+    assert world.node.metrics(world.belief)["moves"] == 2.0
+
+
+def test_without_a_task_the_arm_watches() -> None:
+    world = Obedient()
+    for _ in range(40):
+        wish = world.epoch(None)
+        np.testing.assert_array_equal(wish["gripper"], HOME_GRIPPER)
+    assert world.phases == [WATCH]
+    assert world.node.select_policy(()) == REST
+
+
+@pytest.mark.parametrize("name", ["", "move", "move 1 onto", "move 1 on 2", "move x onto 2", "move 1 onto 2 3"])
+def test_what_is_no_task_s_policy_is_none(name: str) -> None:
+    with pytest.raises(KeyError):
+        SkillsNode().policies()[name]
