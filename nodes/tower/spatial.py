@@ -18,7 +18,7 @@ class TowerSpatial(PickSpatial):
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `PickSpatial`, but that cubes of which it is known that they stand stay, unless they are seen."""
-        told = context[0] if context else {"held": None, "stands": ()}
+        told: Value = context[0] if context else {"held": None, "stands": ()}
         kept = {
             body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6)}
             for body in belief["bodies"]

@@ -57,7 +57,7 @@ class TowerWorld(PickWorld):
 
     def finished(self, belief: Value) -> bool:
         """Whether all towers have stood long enough, or the frames are over."""
-        return belief["frame"] >= self._frames or belief["done_s"] >= DONE_S - 1e-9
+        return bool(belief["frame"] >= self._frames or belief["done_s"] >= DONE_S - 1e-9)
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """By the truth: how many towers stand, how far the middle of a cube in them is beside that of the one below at

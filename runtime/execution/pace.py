@@ -10,10 +10,12 @@ from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.times import Times
 
 STALL_S = 0.5  # who is so late, and was not so before, was held up by more than work
+_WARMING = 2  # epochs
 
 
 class Pace:
-    """Epoch k is due k - 2 periods after the second one: times are counted from there, so that no error adds up."""
+    """Epoch k is due k - 3 periods after the third one: times are counted from there, so that no error adds up. In the
+    first two all is made ready, for as long as that takes: nodes have context from the second one on."""
 
     def __init__(
         self, rate_hz: float, late: Late, times: Times | None = None, clock: Callable[[], float] = time.monotonic
@@ -22,7 +24,7 @@ class Pace:
         self._skips = late == "skip"
         self._times = times or Times()
         self._clock = clock  # seconds
-        self._is_warm = False
+        self._warming = _WARMING
         self._first_s = math.nan
         self._slot = 0  # the next one
         self._overdue = self._was_stalled = False
@@ -39,8 +41,8 @@ class Pace:
         """An epoch begins now; what people should know of it: the first one that is late, the second, the fourth, …,
         and each time that many are, at once."""
         now = self._clock()
-        if not self._is_warm:  # in the first one all is made ready, for as long as that takes
-            self._is_warm = True
+        if self._warming:
+            self._warming -= 1
             return ""
         if math.isnan(self._first_s):
             self._first_s = now
