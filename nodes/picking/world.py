@@ -25,6 +25,8 @@ HELD_S = 2.0
 
 _ENOUGH_S = 2.5
 _ACCELERATION_M_S2 = 0.5
+# From frame to frame the arm moves a little: so few steps bring its gripper where it should be, and its posture follows.
+_ITERATIONS = 12
 _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 _TRUTH = 3
 
@@ -86,7 +88,7 @@ class PickWorld(CommandedNode, World):
         if actions:
             setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s)
             width = actions[0]["width"]
-        targets, _ = joints_for(setpoint, belief["targets"])
+        targets, _ = joints_for(setpoint, belief["targets"], _ITERATIONS)
         arm = Arm(*(belief[name] for name in Arm._fields))
         cubes = [Cube(body["side_m"], body["pose"], body["velocity"]) for body in belief["bodies"]]
         order = Order(belief["targets"], targets, width)

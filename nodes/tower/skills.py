@@ -127,8 +127,9 @@ def gripper_commands(actions: Elements) -> Elements:
 
 
 def held_and_standing(belief: Value) -> Elements:
-    """ϱ of the skills node: {"held": id of the cube that the hand holds, None for none; "stands": those that stand}."""
-    return ({"held": _held(belief), "stands": belief["stands"]},)
+    """ϱ of the skills node: {"held": id of the cube that the hand holds, None for none; "stands": those that stand;
+    "looks": whether the camera overlooks the table, so that what is not seen where it should be is elsewhere}."""
+    return ({"held": _held(belief), "stands": belief["stands"], "looks": belief["phase"] == WATCH},)
 
 
 def scene_and_skill(belief: Value) -> Elements:

@@ -11,14 +11,16 @@ from hierax.runtime import Elements, Value
 
 
 class TowerSpatial(PickSpatial):
-    """A spatial node that is told which cubes stand where they were put: {"held": id or None, "stands": ids}.
+    """A spatial node that is told which cubes stand where they were put, and whether the camera overlooks the table:
+    {"held": id or None, "stands": ids, "looks": bool}.
 
     Without that, a cube that the camera has lost carries nothing, so that what stands on it falls in the imagination,
-    and is looked for where it is not."""
+    and is looked for where it is not. And what the camera cannot see from near, while the hand is among the cubes, is
+    looked for everywhere, in vain."""
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `PickSpatial`, but that cubes of which it is known that they stand stay, unless they are seen."""
-        told: Value = context[0] if context else {"held": None, "stands": ()}
+        told: Value = context[0] if context else {"held": None, "stands": (), "looks": True}
         kept = {
             body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6)}
             for body in belief["bodies"]
@@ -29,6 +31,7 @@ class TowerSpatial(PickSpatial):
         stay = ("pose", "velocity")
         return {
             **after,
+            "sweeping": after["sweeping"] if told["looks"] else (),
             "bodies": tuple(
                 {**body, **{name: kept[body["id"]][name] for name in stay}} if body["id"] in kept else body
                 for body in after["bodies"]
