@@ -102,9 +102,10 @@ def test_a_cube_is_moved_to_a_free_place_of_the_table() -> None:
 def test_which_cube_is_held_is_told_up_and_down() -> None:
     world = Obedient()
     assert scene_and_skill(world.belief) == ()
+    assert held_and_standing(world.belief) == ({"held": None, "stands": (), "looks": True},)
     for phase, held in ((CLOSE, None), (LIFT, 2), (CARRY, 2), (LOWER, 2), (OPEN, None)):
         world.until(phase, (2, 1))
-        assert held_and_standing(world.belief) == ({"held": held, "stands": ()},)
+        assert held_and_standing(world.belief) == ({"held": held, "stands": (), "looks": False},)
         assert scene_and_skill(world.belief)[-1]["skill"] == {"phase": phase, "goal": (2, 1), "holding": held}
 
 
