@@ -25,7 +25,7 @@ HELD_S = 2.0
 
 _ENOUGH_S = 2.5
 _ACCELERATION_M_S2 = 0.5
-# From frame to frame the arm moves a little: so few steps bring its gripper where it should be, and its posture follows.
+# From frame to frame the arm moves a little: so few steps bring its gripper where it should be; its posture follows.
 _ITERATIONS = 12
 _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 _TRUTH = 3
