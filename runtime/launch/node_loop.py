@@ -18,6 +18,9 @@ from hierax.schemas.limits import MAX_STATE_BYTES
 from hierax.schemas.messages import Message
 
 IDLE_S = 0.5  # how long a node may get no further before it asks whether it is still part of the hierarchy
+AGAIN = 0.25
+"""A process that has no part yet offers itself again when it has waited longer by this part of that time, or after
+`IDLE_S`: the first offers may be lost as links open, and those of many at once would keep their owner from all else."""
 AT_ONCE = 256  # how many messages are taken in before anything else is looked at
 REST = 10_000  # how many messages are looked at when the run is over
 NAP_S = 0.001  # how long the world's thread sleeps at once while its next epoch is not due
@@ -150,7 +153,7 @@ class NodeLoop:
         now = time.monotonic()
         if self.watch is not None:
             self.watch.tick(now)
-        elif self.member.active and now - max(self._when_moved(now), self._ticked_s) < IDLE_S:
+        elif now - self._ticked_s < self._pause_s(now):
             return
         if not self._ticks:
             self._ticked_s = now
@@ -161,6 +164,13 @@ class NodeLoop:
         """In free running: the node's next turn is due."""
         self._due = True
         self.words.wake()
+
+    def _pause_s(self, now: float) -> float:
+        """How long after it has asked last the member asks whether it is wanted."""
+        moved_s = self._when_moved(now)
+        if self.member.active:
+            return IDLE_S + max(moved_s - self._ticked_s, 0.0)
+        return min(IDLE_S, AGAIN * (now - moved_s))
 
     def _when_moved(self, now: float) -> float:
         """When the node has got further in its epochs; what others send it may be of no use."""
