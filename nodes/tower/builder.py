@@ -1,22 +1,29 @@
-"""The builder: symbols of what is seen, and what is to be done next for the towers that are asked for."""
+"""The builder: symbols of what is seen, and what is to be done next for the towers that are asked for.
 
+There are three, with the same belief, so that one may take the place of another while a tower grows: one that goes by
+rules, `TeleoReactive`, and two that go by a plan (`hierax.nodes.tower.planner`)."""
+
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
 from hierax.nodes.picking.layout import SIDES_M
 from hierax.nodes.picking.phases import WATCH
 from hierax.nodes.tower.goals import read_towers
-from hierax.nodes.tower.rules import TABLE, Wish, height_of, is_done, wish_of
+from hierax.nodes.tower.rules import NO_PLAN, TABLE, Plan, Wish, height_of, is_done, order_of, wish_of
+from hierax.nodes.tower.skills import SkillsNode
 from hierax.nodes.tower.symbols import NOTHING, Symbols, symbols_after
 from hierax.runtime import Elements, Node, Value
 from hierax.runtime.core.node import Policy
 
 
-class TeleoReactive(Node):
-    """Builds towers by rules that are gone through in every epoch (`hierax.nodes.tower.rules`).
+class Builder(Node):
+    """Believes in symbols, and wishes for one move after the other.
 
-    The belief: ``symbols``, a map of `Symbols`' fields, and ``rule``, ``cube`` and ``onto`` of the wish; ``cube`` is
-    None where nothing is to be done.
+    The belief: ``symbols``, a map of `Symbols`' fields; ``rule``, ``cube`` and ``onto`` of the wish (``cube`` is None
+    where nothing is to be done); ``plan``, the moves that are to follow, with this one as the first, each a cube and
+    what it is to be moved onto; and ``expects``, what each cube is on when this one begins, pairs. Both are empty where
+    there is no plan.
 
     Args: tower: as `hierax.nodes.tower.goals.read_towers` has it; cubes: how many there are.
     Raises ValueError: the tower cannot be built of them."""
@@ -24,22 +31,29 @@ class TeleoReactive(Node):
     initial_policy = "build"
 
     def __init__(self, tower: Any, cubes: int = len(SIDES_M)) -> None:
-        self._towers = read_towers(tower, cubes)
+        self.towers = read_towers(tower, cubes)
+        self.cubes = tuple(range(1, cubes + 1))
+
+    @abstractmethod
+    def decided(self, symbols: Symbols, skill: Mapping[str, Any], belief: Value) -> tuple[Wish, Plan]:
+        """What is wished for where these symbols hold and the skill is in this phase, after what was believed before;
+        and the plan."""
 
     def initial_belief(self) -> Value:
         """Nothing is known yet, and nothing is to be done."""
-        return self._belief(NOTHING, Wish("look"))
+        return {"symbols": NOTHING._asdict(), **Wish("look")._asdict(), **NO_PLAN._asdict()}
 
     def observe(self, observations: Elements, belief: Value) -> Value:
-        """τ: symbols of the scene and the skill as `hierax.nodes.tower.skills.scene_and_skill` tells them, and the rule
-        that fits them."""
+        """τ: symbols of the scene and the skill as `hierax.nodes.tower.skills.scene_and_skill` tells them, and what is
+        wished for by them."""
         if not observations:
             return belief
         bodies = tuple(item for item in observations if "pose" in item)
         skill = next(item["skill"] for item in observations if "skill" in item)
         looking = skill["phase"] == WATCH
         symbols = symbols_after(Symbols(**belief["symbols"]), bodies, skill["holding"], looking)
-        return self._belief(symbols, wish_of(self._towers, symbols))
+        wish, plan = self.decided(symbols, skill, belief)
+        return {"symbols": symbols._asdict(), **wish._asdict(), **plan._asdict()}
 
     def policies(self) -> Mapping[str, Policy]:
         """Π: to build."""
@@ -48,12 +62,36 @@ class TeleoReactive(Node):
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """Towers that stand by what the builder believes, cubes that stand in their places, and cubes unknown."""
         symbols = Symbols(**belief["symbols"])
-        done = sum(is_done(tower, symbols) for tower in self._towers)
-        stacked = sum(height_of(tower, symbols) for tower in self._towers)
+        done = sum(is_done(tower, symbols) for tower in self.towers)
+        stacked = sum(height_of(order_of(tower, symbols), symbols) for tower in self.towers)
         return {"done": float(done), "stacked": float(stacked), "unknown": float(len(symbols.unknown))}
 
-    def _belief(self, symbols: Symbols, wish: Wish) -> Value:
-        return {"symbols": symbols._asdict(), **wish._asdict()}
+
+class TeleoReactive(Builder):
+    """Builds towers by rules that are gone through in every epoch (`hierax.nodes.tower.rules`); its plan is empty."""
+
+    def decided(self, symbols: Symbols, skill: Mapping[str, Any], belief: Value) -> tuple[Wish, Plan]:
+        return wish_of(self.towers, symbols), NO_PLAN
+
+
+REACTIVE, PLANNER, OPEN_LOOP = "reactive", "planner", "open_loop"
+
+
+def builder(builder: str, tower: Any, cubes: int = len(SIDES_M)) -> Builder:
+    """A builder by its name, ``reactive``, ``planner`` or ``open_loop``; the rest as `Builder` has it.
+
+    Raises ValueError: there is none of that name."""
+    from hierax.nodes.tower.planner import OpenLoop, Planner  # it builds upon this module
+
+    kinds: dict[str, type[Builder]] = {REACTIVE: TeleoReactive, PLANNER: Planner, OPEN_LOOP: OpenLoop}
+    if builder not in kinds:
+        raise ValueError(f"builder is {builder!r}; expected one of {', '.join(kinds)}")
+    return kinds[builder](tower, cubes)
+
+
+def skills_for(builder: str) -> SkillsNode:
+    """The skills node for a builder by its name: below one that does not look, neither does the hand."""
+    return SkillsNode(once=builder == OPEN_LOOP)
 
 
 def wished(belief: Value) -> Elements:

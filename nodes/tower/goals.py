@@ -1,19 +1,23 @@
-"""What towers are asked for, as data: lists of cubes from the bottom up."""
+"""What towers are asked for, as data: lists of cubes from the bottom up, or sets of cubes in whatever order."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import permutations
+from typing import Any, TypeAlias
 
-Towers = tuple[tuple[int, ...], ...]
+Tower: TypeAlias = "tuple[int, ...] | frozenset[int]"
+"""Ids of cubes from the bottom up; or of those of which it is to be built, in any order."""
+
+Towers: TypeAlias = "tuple[Tower, ...]"
 
 
 def read_towers(given: Any, cubes: int) -> Towers:
     """The towers that are asked for.
 
     Args: given: one tower, as ``[3, 1, 4]``, or several, as ``[[3, 1], [4, 2]]``; ids of cubes, from the bottom up.
-        cubes: how many there are, with ids from 1.
+        One may be a set, ``{2, 5}``: these cubes, in any order. cubes: how many there are, with ids from 1.
     Raises ValueError: it is none, a cube is not there, or is asked for twice."""
-    several = given if _is_list(given) and given and all(map(_is_list, given)) else [given]
-    towers = tuple(tuple(tower) if _is_list(tower) else (tower,) for tower in several)
+    several = given if _is_list(given) and given and all(map(_is_tower, given)) else [given]
+    towers = tuple(_read_tower(tower) for tower in several)
     if not all(towers) or not towers:
         raise ValueError(f"tower is {given!r}; expected ids of cubes from the bottom up, such as [3, 1, 4]")
     seen: set[int] = set()
@@ -24,6 +28,26 @@ def read_towers(given: Any, cubes: int) -> Towers:
             raise ValueError(f"tower is {given!r}: cube {cube} is asked for twice")
         seen.add(cube)
     return towers
+
+
+def orders_of(tower: Tower) -> Iterator[tuple[int, ...]]:
+    """In what orders a tower may be built, from the bottom up."""
+    return iter((tower,)) if isinstance(tower, tuple) else permutations(sorted(tower))
+
+
+def _read_tower(given: Any) -> Tower:
+    if isinstance(given, Mapping):
+        members = [_number(key) for key, value in given.items() if value is None]
+        return frozenset(members) if len(members) == len(given) else (given,)  # type: ignore[arg-type]
+    return tuple(given) if _is_list(given) else (given,)
+
+
+def _number(key: Any) -> Any:
+    return int(key) if isinstance(key, str) and key.isascii() and key.isdigit() else key
+
+
+def _is_tower(value: Any) -> bool:
+    return _is_list(value) or isinstance(value, Mapping)
 
 
 def _is_list(value: Any) -> bool:

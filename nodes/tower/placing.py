@@ -12,7 +12,8 @@ from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 Body = Mapping[str, Any]
 
 GAP_M = 0.001  # so far above what it will stand on, a cube is let go
-ROOM_M = 0.035  # between the circles around cubes on the table, so that a hand gets between them
+# Between the circles around cubes on the table, so that a hand gets between them; less where there is no such place.
+ROOMS_M = (0.035, 0.02, 0.005)
 _LOW, _HIGH, _STEP_M = (0.38, -0.20), (0.62, 0.20), 0.02  # of the table, what the arm reaches and the camera sees
 _REACHED = 1e-3
 _QUARTERS = (0.0, np.pi / 2, -np.pi / 2, np.pi)
@@ -43,16 +44,15 @@ def place_on_table(held: Body, bodies: Sequence[Body], box_from_gripper: Floats,
     others = [body for body in bodies if body is not held]
     spots = np.stack(np.meshgrid(*(np.arange(*ends, _STEP_M) for ends in zip(_LOW, _HIGH, strict=True))), axis=-1)
     spots = spots.reshape(-1, 2)
-    rooms = [
-        np.linalg.norm(spots - body["pose"][:2, 3], axis=1) - _radius(body) - _radius(held) - ROOM_M for body in others
-    ]
-    free = np.all(np.stack(rooms) > 0.0, axis=0) if rooms else np.ones(len(spots), dtype=bool)
+    gaps = [np.linalg.norm(spots - body["pose"][:2, 3], axis=1) - _radius(body) - _radius(held) for body in others]
+    gap = np.min(gaps, axis=0) if gaps else np.full(len(spots), np.inf)
     nearest = np.argsort(np.linalg.norm(spots - held["pose"][:2, 3], axis=1), kind="stable")
-    for spot in spots[nearest[free[nearest]]]:
-        pose = _turned(held["pose"], 0.0, np.array([*spot, _half_height(held) + GAP_M]))
-        found = _fits(pose @ box_from_gripper, others, width_m)
-        if found is not None:
-            return found
+    for room in ROOMS_M:
+        for spot in spots[nearest[gap[nearest] > room]]:
+            pose = _turned(held["pose"], 0.0, np.array([*spot, _half_height(held) + GAP_M]))
+            found = _fits(pose @ box_from_gripper, others, width_m)
+            if found is not None:
+                return found
     return None
 
 

@@ -5,10 +5,23 @@ fits brings it nearer to what is wanted. A wish is a cube, and what it is to be 
 
 from typing import NamedTuple
 
-from hierax.nodes.tower.goals import Towers
+from hierax.nodes.tower.goals import Tower, Towers, orders_of
 from hierax.nodes.tower.symbols import Symbols
 
 TABLE = 0
+
+Step = tuple[int, int]
+"""A move: a cube, and what it comes onto."""
+
+
+class Plan(NamedTuple):
+    """Moves that are to follow, and what each cube is on when the first of them begins, pairs; empty: there is none."""
+
+    plan: tuple[Step, ...]
+    expects: tuple[Step, ...]
+
+
+NO_PLAN = Plan((), ())
 
 
 class Wish(NamedTuple):
@@ -31,16 +44,33 @@ def height_of(tower: tuple[int, ...], symbols: Symbols) -> int:
     return height
 
 
-def is_done(tower: tuple[int, ...], symbols: Symbols) -> bool:
+def is_done(tower: Tower, symbols: Symbols) -> bool:
     """Whether a tower stands, with nothing on it."""
-    return height_of(tower, symbols) == len(tower) and symbols.is_clear(tower[-1])
+    order = order_of(tower, symbols)
+    return height_of(order, symbols) == len(order) and symbols.is_clear(order[-1])
+
+
+def order_of(tower: Tower, symbols: Symbols) -> tuple[int, ...]:
+    """In which order a tower is built of what is there: where any will do, that of which most stands already and least
+    has to be taken away, the first of those that are alike."""
+    return min(orders_of(tower), key=lambda order: _left(order, symbols))
+
+
+def _left(order: tuple[int, ...], symbols: Symbols) -> tuple[int, bool, int]:
+    """What is to be done for a tower: cubes that come onto it; whether the next of them is not at hand; and how many
+    are in the way."""
+    height = height_of(order, symbols)
+    stands, coming = order[:height], order[height:]
+    in_the_way = {above for cube in (*stands[-1:], *coming) for above in symbols.above(cube)} - set(stands)
+    away = bool(coming) and (coming[0] in symbols.unknown or symbols.holding not in (None, coming[0]))
+    return len(coming), away, len(in_the_way)
 
 
 def wish_of(towers: Towers, symbols: Symbols) -> Wish:
     """What the first rule that fits asks for."""
     for tower in towers:
         if not is_done(tower, symbols):
-            return _make(tower, symbols)
+            return _make(order_of(tower, symbols), symbols)
     return Wish("done") if symbols.holding is None else Wish("put away", symbols.holding)
 
 

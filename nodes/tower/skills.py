@@ -49,6 +49,10 @@ _ABOVE_M = 0.06  # so far above everything the empty gripper crosses the table
 _BELOW_M = 0.03  # so far above everything the lowest of a cube that is carried goes
 _ALIKE = 2.5  # trace of a turn, 3 at most: by less than 40° a place is followed, not another way to turn the cube taken
 
+SIGHTED_S = 3.0  # so long what a cube comes onto is where it was seen last, while the one in hand hides it
+
+_OF_A_MOVE = ("target", "box_from_gripper", "box_width", "gripper", "place", "sighted_s", "refused")
+
 Goal = tuple[int, int]
 """A cube, and what it is to be moved onto."""
 
@@ -85,13 +89,20 @@ class SkillsNode(Node):
 
     The belief is that of phases (`hierax.nodes.picking.phases`), with ``goal`` (what is being done; None: nothing),
     ``asked`` (what was asked for last), ``place`` (world_from_gripper where the cube is put down; None before that is
-    known), ``width`` (of the gripper, when it was last looked at), ``stands`` (cubes of which the builder says so) and
-    ``moves``, how many have begun."""
+    known), ``sighted_s`` (when it was last seen, while the cube is carried, what that comes onto; None: never),
+    ``refused`` (what cannot be done with the cube in the hand), ``width`` (of the gripper, when it was last looked at),
+    ``stands`` (cubes of which the builder says so) and ``moves``, how many have begun.
+
+    Args: once: the cubes are where they were when the first move began, or where the hand has put them since, whatever
+        is seen. For comparison."""
+
+    def __init__(self, once: bool = False) -> None:
+        self._once = once
 
     def initial_belief(self) -> Value:
         """Watching; nothing is known, and nothing asked for."""
         seen = {"width": WIDEST_M, "bodies": (), "hand": None}
-        nothing = dict.fromkeys(("goal", "asked", "target", "box_from_gripper", "box_width", "gripper", "place"))
+        nothing = dict.fromkeys(("goal", "asked", *_OF_A_MOVE))
         return {"phase": WATCH, "since_s": 0.0, "steady_s": None, **seen, **nothing, "stands": (), "moves": 0}
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
@@ -100,6 +111,8 @@ class SkillsNode(Node):
             return belief
         bodies = tuple(item for item in observations if "pose" in item)
         hand = next(item["hand"] for item in observations if "hand" in item)
+        if self._once and belief["moves"]:
+            bodies = _as_left(belief, hand)
         seen = _with_goal({**belief, "bodies": bodies, "hand": hand}, tick.time_s)
         return _AFTER[seen["phase"]](seen, tick.time_s)
 
@@ -142,6 +155,15 @@ def scene_and_skill(belief: Value) -> Elements:
     )
 
 
+def _as_left(belief: Value, hand: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
+    """The cubes where the last look has them, but for the one that is in the hand, which moves with it."""
+    held = _held(belief)
+    return tuple(
+        {**body, "pose": hand["gripper"] @ invert(belief["box_from_gripper"])} if body["id"] == held else body
+        for body in belief["bodies"]
+    )
+
+
 def _held(belief: Value) -> int | None:
     return belief["target"] if belief["phase"] in _HOLDING else None
 
@@ -153,14 +175,14 @@ def _with_goal(belief: Value, time_s: float) -> Value:
         return belief
     if belief["phase"] in _FREE:
         return _watching({**belief, "goal": asked}, time_s)
-    if belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]:
-        return {**belief, "goal": asked, "place": None}
+    carried = belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]
+    if carried and asked != belief["refused"]:
+        return {**belief, "goal": asked, "place": None, "sighted_s": None}
     return belief
 
 
 def _watching(belief: Value, time_s: float) -> Value:
-    forgotten = dict.fromkeys(("target", "box_from_gripper", "box_width", "gripper", "place"))
-    return entered({**belief, **forgotten}, WATCH, time_s)
+    return entered({**belief, **dict.fromkeys(_OF_A_MOVE)}, WATCH, time_s)
 
 
 def _wish(belief: Value) -> Value:
@@ -257,17 +279,21 @@ def _after_lift(belief: Value, time_s: float) -> Value:
 
 def _after_carry(belief: Value, time_s: float) -> Value:
     """Above where it is to be put down, which is chosen with how the cube is really held. The cube below is only seen
-    from there; where it is not, or there is no place on it, the one in hand comes onto the table."""
+    on the way there: from above, the one in hand may hide it. Where it is not seen, or there is no place on it, the one
+    in hand comes onto the table."""
     if not is_filled(belief):
         return entered(belief, RETREAT, time_s)
-    belief = {**belief, "place": _place(belief)}
+    seen = _is_seen(belief)
+    belief = {**belief, "place": _place(belief), "sighted_s": time_s if seen else belief["sighted_s"]}
     above = belief["place"] is not None and has_reached(belief, _lifted(belief, belief["place"]))
-    belief = steadied(belief, above and _is_seen(belief), time_s)
+    known = belief["sighted_s"] is not None and time_s - belief["sighted_s"] <= SIGHTED_S
+    belief = steadied(belief, above and known, time_s)
     if is_steady(belief, time_s, AIM_S):
         return entered(belief, LOWER, time_s)
     if not is_late(belief, time_s) or belief["goal"][1] == TABLE:
         return belief
-    return entered({**belief, "goal": (belief["target"], TABLE), "place": None}, CARRY, time_s)
+    aside = {"goal": (belief["target"], TABLE), "refused": belief["goal"], "place": None}
+    return entered({**belief, **aside}, CARRY, time_s)
 
 
 def _is_seen(belief: Value) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hierax.nodes.picking.layout import SIDES_M
 from hierax.nodes.picking.world import PickWorld
-from hierax.nodes.tower.goals import read_towers
+from hierax.nodes.tower.goals import Tower, orders_of, read_towers
 from hierax.runtime import Elements, Value
 
 DONE_S = 1.0  # a tower is done when it has stood for so long with the hand away from it
@@ -63,7 +63,7 @@ class TowerWorld(PickWorld):
         """By the truth: how many towers stand, how far the middle of a cube in them is beside that of the one below at
         most (mm; -1 where none stands on another), and how many times a cube was raised."""
         bodies = {body["id"]: body for body in belief["bodies"]}
-        done = [tower for tower in self._towers if _is_built(tower, bodies)]
+        done = [order for tower in self._towers if (order := _order_built(tower, bodies)) is not None]
         beside = [_beside_mm(bodies[upper], bodies[lower]) for tower in done for lower, upper in pairwise(tower)]
         return {
             "towers_done": float(len(done)),
@@ -73,7 +73,12 @@ class TowerWorld(PickWorld):
 
     def _stands(self, belief: Value) -> bool:
         bodies = {body["id"]: body for body in belief["bodies"]}
-        return all(_is_built(tower, bodies) for tower in self._towers)
+        return all(_order_built(tower, bodies) is not None for tower in self._towers)
+
+
+def _order_built(tower: Tower, bodies: Mapping[int, Mapping[str, Any]]) -> tuple[int, ...] | None:
+    """In which order a tower stands, from the bottom up; None: it does not."""
+    return next((order for order in orders_of(tower) if _is_built(order, bodies)), None)
 
 
 def _is_built(tower: tuple[int, ...], bodies: Mapping[int, Mapping[str, Any]]) -> bool:

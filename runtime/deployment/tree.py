@@ -109,6 +109,11 @@ def _syntax_error(error: yaml.MarkedYAMLError, tree: Tree) -> DeploymentError:
     return DeploymentError(what, tree.at(mark.line + 1))
 
 
+def _is_member(of: yaml.MappingNode, value: yaml.Node) -> bool:
+    """Whether an entry of a map in braces has no value, as in a set, ``{2, 5}``."""
+    return bool(of.flow_style) and isinstance(value, yaml.ScalarNode) and value.value == "" and value.style is None
+
+
 class _Builder:
     """Makes values of YAML's nodes; fills in the tree's lines."""
 
@@ -143,7 +148,7 @@ class _Builder:
             if key_node.tag == f"{_TAG}merge":
                 merged += self.merged(value_node, keys)
                 continue
-            key = self.key(key_node, keys)
+            key = self.key(key_node, keys, _is_member(node, value_node))
             line = key_node.start_mark.line + 1
             if key in seen:
                 raise self.error(key_node, (*keys, key), f"given twice, in line {seen[key]} and in line {line}")
@@ -159,7 +164,10 @@ class _Builder:
         self.tree.lines[keys] = key_node.start_mark.line + 1
         result[str(keys[-1])] = self.build(value_node, keys)
 
-    def key(self, node: yaml.Node, keys: Keys) -> str:
+    def key(self, node: yaml.Node, keys: Keys, member: bool = False) -> str:
+        """A key, which is text; a member of a set is taken as the text that stands there."""
+        if member and isinstance(node, yaml.ScalarNode):
+            return str(node.value)
         if not isinstance(node, yaml.ScalarNode) or node.tag != f"{_TAG}str":
             given = node.value if isinstance(node, yaml.ScalarNode) else "a list or a map"
             raise self.error(node, keys, f"a key must be text, not {given}; put quotes around it")

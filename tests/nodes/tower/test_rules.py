@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, seed
 from hypothesis import strategies as st
 
-from hierax.nodes.tower.rules import TABLE, Wish, is_done, wish_of
+from hierax.nodes.tower.goals import orders_of
+from hierax.nodes.tower.rules import TABLE, Wish, height_of, is_done, wish_of
 from hierax.nodes.tower.symbols import NOTHING, Symbols
 
 CUBES = (1, 2, 3, 4, 5)
@@ -66,6 +67,23 @@ def test_whoever_changes_the_blocks_it_is_built_in_the_end(number: int) -> None:
             break
         blocks = done(blocks, wish)
     assert all(is_done(tower, symbols_of(blocks)) for tower in towers), (number, blocks)
+
+
+@seed(1)
+@given(st.integers(0, 2**32), st.integers(1, 5))
+def test_of_cubes_in_any_order_one_is_built(number: int, height: int) -> None:
+    rng = random.Random(number)
+    blocks, tower = laid_out(rng), frozenset(rng.sample(CUBES, height))
+    stood = max(height_of(order, symbols_of(blocks)) for order in orders_of(tower))
+    onto_it = 0
+    while not is_done(tower, symbols_of(blocks)):
+        wish = wish_of((tower,), symbols_of(blocks))
+        assert wish.cube is not None
+        held = symbols_of(blocks, holding=wish.cube)
+        assert wish_of((tower,), held) == Wish("place", wish.cube, wish.onto) or wish.onto == TABLE, number
+        blocks = done(blocks, wish)
+        onto_it += wish.onto != TABLE
+        assert onto_it <= height - stood, (number, tower, blocks)
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,8 @@ from hierax.schemas.limits import MAX_DEPTH
         ("a: {<<: [{p: 1}, {p: 2, q: 3}]}", {"a": {"p": 1, "q": 3}}),
         ("a: &x [1]\nb: *x", {"a": [1], "b": [1]}),
         ("'<<': 1", {"<<": 1}),
+        ("{2, 5}", {"2": None, "5": None}),
+        ("[{2, b}, 1]", [{"2": None, "b": None}, 1]),
     ],
 )
 def test_yaml_as_values(text: str, value: object) -> None:
@@ -88,6 +90,10 @@ def test_an_edge_is_written_one_way() -> None:
         ("a: 1\nb: \x00", "f:2: character '\\x00' is not allowed in YAML"),
         ("a: \x07", "f:1: character '\\x07' is not allowed in YAML"),
         ("a:\n  1: x", "f:2: a: a key must be text, not 1; put quotes around it"),
+        ("a: {1: x}", "f:1: a: a key must be text, not 1; put quotes around it"),
+        ("a: {1: null}", "f:1: a: a key must be text, not 1; put quotes around it"),
+        ("a: {1, 1}", "f:1: a.1: given twice, in line 1 and in line 1"),
+        ("a:\n  1:", "f:2: a: a key must be text, not 1; put quotes around it"),
         ("a:\n  true: x", "f:2: a: a key must be text, not true; put quotes around it"),
         ("? [a]\n: x", "f:1: a key must be text, not a list or a map; put quotes around it"),
         ("a: !!python/name:os.system x", "f:1: a: the tag !!python/name:os.system cannot be used here"),

@@ -1,0 +1,160 @@
+"""Plans: the shortest ones, followed as long as cubes are where they are expected, and made again where they are not."""
+
+from __future__ import annotations
+
+import random
+from itertools import permutations
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hierax.nodes.picking.phases import RETREAT, WATCH
+from hierax.nodes.tower.builder import Builder, TeleoReactive, builder
+from hierax.nodes.tower.planner import HAND, LOOK, UNKNOWN, Blocks, OpenLoop, Planner, planned
+from hierax.nodes.tower.rules import TABLE, Step
+from hierax.nodes.tower.symbols import Symbols
+
+CUBES = 4
+SETTINGS = settings(deadline=None, derandomize=True)
+
+
+def laid_out(rng: random.Random) -> Blocks:
+    """Cubes at random, each on the table or on one that is clear; now and then one in the hand, or unknown."""
+    blocks: Blocks = {}
+    for cube in rng.sample(range(1, CUBES + 1), CUBES):
+        free = [TABLE, *(other for other in blocks if other not in blocks.values())]
+        blocks[cube] = rng.choice(free)
+    clear = [cube for cube in blocks if cube not in blocks.values()]
+    if rng.random() < 0.3:
+        blocks[rng.choice(clear)] = rng.choice((HAND, UNKNOWN))
+    return blocks
+
+
+def after(blocks: Blocks, step: Step) -> Blocks:
+    """What becomes of the blocks; the step has to be possible."""
+    cube, onto = step
+    if onto == LOOK:
+        assert blocks[cube] == UNKNOWN
+        return {**blocks, cube: TABLE}
+    assert blocks[cube] != UNKNOWN
+    assert HAND not in blocks.values() or blocks[cube] == HAND
+    assert cube not in blocks.values(), f"something is on {cube}"
+    assert onto == TABLE or (onto not in blocks.values() and blocks[onto] != UNKNOWN), f"something is on {onto}"
+    return {**blocks, cube: onto}
+
+
+def stands(blocks: Blocks, order: tuple[int, ...]) -> bool:
+    """Whether a tower stands in this order, with nothing on it."""
+    lower = (TABLE, *order)
+    return all(blocks[cube] == lower[at] for at, cube in enumerate(order)) and order[-1] not in blocks.values()
+
+
+def shortest(blocks: Blocks, orders: list[tuple[int, ...]]) -> int:
+    """How many steps it takes at least, by trying all of them."""
+    ways, length = [blocks], 0
+    seen = {tuple(sorted(blocks.items()))}
+    while not any(stands(way, order) for way in ways for order in orders):
+        following = []
+        for way in ways:
+            for cube in way:
+                for onto in (TABLE, LOOK, *way):
+                    try:
+                        reached = after(way, (cube, onto)) if onto not in (cube, way[cube]) or onto == LOOK else way
+                    except AssertionError:
+                        continue
+                    key = tuple(sorted(reached.items()))
+                    if key not in seen:
+                        seen.add(key)
+                        following.append(reached)
+        ways, length = following, length + 1
+    return length
+
+
+@SETTINGS
+@given(st.integers(0, 2**32), st.integers(1, CUBES), st.booleans())
+def test_a_plan_builds_the_tower_in_the_fewest_steps(number: int, height: int, free: bool) -> None:
+    rng = random.Random(number)
+    blocks, tower = laid_out(rng), tuple(rng.sample(range(1, CUBES + 1), height))
+    plan = planned((frozenset(tower) if free else tower,), blocks)
+    orders = list(permutations(tower)) if free else [tower]
+    assert len(plan) == shortest(blocks, orders), (number, blocks, tower, plan)
+    for step in plan:
+        blocks = after(blocks, step)
+    assert any(stands(blocks, order) for order in orders), (number, plan)
+
+
+def seen(blocks: Blocks, phase: str = WATCH, **doubts: int) -> dict[str, Any]:
+    """Arguments of `decided`, but for the belief."""
+    on = tuple(sorted((cube, lower) for cube, lower in blocks.items() if lower > 0))
+    table = tuple(cube for cube, lower in blocks.items() if lower == TABLE)
+    unknown = tuple(cube for cube, lower in blocks.items() if lower == UNKNOWN)
+    holding = next((cube for cube, lower in blocks.items() if lower == HAND), None)
+    symbols = Symbols(on, table, unknown, holding, {}, (), doubts)
+    return {"symbols": symbols, "skill": {"phase": phase, "goal": None, "holding": holding}}
+
+
+class Played:
+    """A builder that is shown one scene after the other."""
+
+    def __init__(self, node: Builder) -> None:
+        self.node, self.belief = node, node.initial_belief()
+
+    def sees(self, blocks: Blocks, goal: Step | None = None, phase: str = WATCH, **doubts: int) -> tuple[Any, ...]:
+        """The rule, and what is wished for."""
+        given = seen(blocks, phase, **doubts)
+        given["skill"]["goal"] = goal
+        wish, plan = self.node.decided(**given, belief=self.belief)
+        self.belief = {**self.belief, **wish._asdict(), **plan._asdict()}
+        return tuple(wish)
+
+
+FLAT = {1: TABLE, 2: TABLE, 3: TABLE}
+
+
+def test_a_plan_is_followed_while_what_it_moves_is_on_its_way() -> None:
+    played = Played(Planner([1, 2, 3], 3))
+    assert played.sees({**FLAT, 3: -3}, doubts=3)[0] == "look"
+    assert played.sees(FLAT) == ("planned", 2, 1)
+    assert played.sees({**FLAT, 2: HAND}) == ("as planned", 2, 1)
+    assert played.sees({1: TABLE, 3: TABLE}) == ("as planned", 2, 1)
+    assert played.sees({**FLAT, 2: 1}) == ("as planned", 3, 2)
+    assert played.sees({**FLAT, 2: 1, 3: 2}) == ("done", None, TABLE)
+    assert played.sees({**FLAT, 2: 1, 3: 2}) == ("done", None, TABLE)
+
+
+def test_what_somebody_else_changes_is_planned_again() -> None:
+    played = Played(Planner([1, 2, 3], 3))
+    played.sees(FLAT)
+    assert played.sees({**FLAT, 3: 1}) == ("planned again", 3, TABLE)
+    assert played.sees({**FLAT, 2: 1, 3: 2}) == ("done", None, TABLE)
+    assert played.sees({**FLAT, 2: 1, 3: UNKNOWN}) == ("look for 3", None, TABLE)
+    assert played.sees({**FLAT, 2: 1}) == ("as planned", 3, 2)
+    assert played.sees({**FLAT, 1: HAND}) == ("planned again", 1, TABLE)
+
+
+def test_open_loop_goes_by_what_the_hand_says_alone() -> None:
+    played = Played(OpenLoop([1, 2, 3], 3))
+    assert played.sees(FLAT)[1:] == (2, 1)
+    assert played.sees({**FLAT, 1: 3})[1:] == (2, 1)
+    assert played.sees(FLAT, (2, 1), RETREAT)[1:] == (3, 2)
+    assert played.sees(FLAT, (2, 1), RETREAT)[1:] == (3, 2)
+    assert played.sees(FLAT, (3, 2), RETREAT)[0] == "done"
+
+
+def test_builders_take_one_another_s_place() -> None:
+    """With a belief of another one, each goes on with what holds."""
+    reactive, planner = Played(TeleoReactive([1, 2, 3], 3)), Played(Planner([1, 2, 3], 3))
+    reactive.sees(FLAT)
+    planner.belief = reactive.belief
+    assert planner.sees({**FLAT, 2: HAND})[1:] == (2, 1)
+    reactive.belief = planner.belief
+    assert reactive.sees({**FLAT, 2: 1})[1:] == (3, 2)
+    assert reactive.belief["plan"] == ()
+
+
+def test_builders_by_name() -> None:
+    assert type(builder("planner", [1, 2], 2)) is Planner
+    with pytest.raises(ValueError, match="builder is 'x'; expected one of reactive, planner, open_loop"):
+        builder("x", [1], 2)
