@@ -1,4 +1,4 @@
-"""Plans: the shortest ones, followed as long as cubes are where they are expected, and made again where they are not."""
+"""Plans: the shortest ones, followed as long as cubes are where they are expected, and else made again."""
 
 from __future__ import annotations
 
