@@ -35,10 +35,10 @@ def orders_of(tower: Tower) -> Iterator[tuple[int, ...]]:
     return iter((tower,)) if isinstance(tower, tuple) else permutations(sorted(tower))
 
 
-def _read_tower(given: Any) -> Tower:
-    if isinstance(given, Mapping):
-        members = [_number(key) for key, value in given.items() if value is None]
-        return frozenset(members) if len(members) == len(given) else (given,)  # type: ignore[arg-type]
+def _read_tower(given: Any) -> Any:
+    """A tower, of cubes that may be none."""
+    if isinstance(given, Mapping) and all(value is None for value in given.values()):
+        return frozenset(map(_number, given))
     return tuple(given) if _is_list(given) else (given,)
 
 
