@@ -11,8 +11,9 @@ import numpy as np
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 
 # By id, from 1: sides and RGB of the cubes.
-SIDES_M = (0.055, 0.040, 0.048, 0.044, 0.051)
-COLOURS = ((196, 52, 44), (45, 96, 190), (58, 150, 72), (235, 190, 40), (120, 70, 160))
+SIDES_M = (0.055, 0.040, 0.048, 0.044, 0.051, 0.046)
+COLOURS = ((196, 52, 44), (45, 96, 190), (58, 150, 72), (235, 190, 40), (120, 70, 160), (60, 170, 180))
+CUBES = 5  # on the table, where nothing else is said
 
 # How far a first guess is off the plan at most, in place and in turn.
 GUESS_M = 0.003
@@ -37,8 +38,8 @@ class Place(NamedTuple):
     below: int  # id of the cube that it stands on; 0 for the table
 
 
-def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
-    """The places of all cubes, 1 to 5, of a scene, from 0. In every other scene the second cube stands on the first.
+def planned(scene: int, cubes: int = CUBES) -> tuple[Place, ...]:
+    """The places of all cubes, 1 to 6, of a scene, from 0. In every other scene the second cube stands on the first.
     The third one stands close to the first, so that one of them hides the other and keeps the gripper from some of its
     sides. Raises ValueError: a number is out of its range, or there is no room."""
     if not 1 <= cubes <= len(SIDES_M):
@@ -58,7 +59,7 @@ def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
     return tuple(places)
 
 
-def guessed(scene: int, cubes: int = len(SIDES_M)) -> list[Floats]:
+def guessed(scene: int, cubes: int = CUBES) -> list[Floats]:
     """world_from_object of all cubes as the trackers are told at the start: the plan, a little wrong."""
     rng = np.random.default_rng([scene, _GUESS])
     return [disturbed(place.pose, _within(rng, GUESS_M), _within(rng, GUESS_RAD)) for place in planned(scene, cubes)]

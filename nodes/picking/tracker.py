@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.commands import Command, CommandedNode
-from hierax.nodes.picking.layout import SIDES_M, guessed, planned
+from hierax.nodes.picking.layout import CUBES, guessed, planned
 from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of, gripper_at
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.math.geometry import invert
@@ -82,7 +82,7 @@ class PickSpatial(CommandedNode, SpatialNode):
         return {**predicted, "bodies": bodies}
 
 
-def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
+def arm(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickArm:
     """The arm node with a first guess at the cubes' poses, and nothing of their shapes; options are further ones of
     `ArmNode`."""
     camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
@@ -93,7 +93,7 @@ def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
     return PickArm(objects, **options)
 
 
-def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSpatial:
+def spatial(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickSpatial:
     """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them. Options
     are further ones of `SpatialNode`."""
     return PickSpatial(first_bodies(scene, cubes), table=True, **options)

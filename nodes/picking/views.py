@@ -10,7 +10,7 @@ from hierax.nodes.picking.workcell import FINGERS, panda_file
 from hierax.nodes.sources.images import write_picture
 from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet
 from hierax.nodes.tracking.imagery.physics import Bullet
-from hierax.nodes.tracking.math.geometry import Array, Size, quaternion_of
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size, quaternion_of
 from hierax.runtime import Probe, Step, Value
 
 VIEWS_FOLDER = "views"
@@ -30,6 +30,7 @@ class SceneView:
         self.arm = int(self._bullet.loadURDF(str(panda_file()), useFixedBase=1))  # its name in the labels of `draw`
         self._box(_TABLE_HALF_M, _TABLE_COLOUR, (0.0, 0.0, -_TABLE_HALF_M[2]))
         self._cubes: dict[int, int] = {}
+        self._obstacles: list[int] = []
 
     def draw(self, belief: Value, view: Sequence[float], lens: Sequence[float], size: Size) -> tuple[Array, Array]:
         """The scene of a world's belief, by OpenGL's view and projection matrices (16,), by columns: uint8 RGB (h, w,
@@ -40,8 +41,13 @@ class SceneView:
         for body in belief["bodies"]:
             if body["id"] not in self._cubes:
                 self._cubes[body["id"]] = self._box([body["side_m"] / 2] * 3, body["colour"], (0.0, 0.0, 0.0))
-            place = body["pose"][:3, 3].tolist(), quaternion_of(body["pose"][:3, :3]).tolist()
-            bullet.resetBasePositionAndOrientation(self._cubes[body["id"]], *place)
+            bullet.resetBasePositionAndOrientation(self._cubes[body["id"]], *_place_of(body["pose"]))
+        for obstacle in self._obstacles:
+            bullet.removeBody(obstacle)
+        self._obstacles = [
+            self._box([side / 2 for side in each["size"]], each["colour"], *_place_of(each["pose"]))
+            for each in belief.get("obstacles", ())
+        ]
         width, height = size
         way = {"lightDirection": [-0.42, -0.38, 1.05], "renderer": bullet.ER_TINY_RENDERER}
         drawn = bullet.getCameraImage(width, height, viewMatrix=view, projectionMatrix=lens, **way)
@@ -54,10 +60,20 @@ class SceneView:
         lens = self._bullet.computeProjectionMatrixFOV(_FIELD_DEG, size[0] / size[1], *_RANGE_M)
         return self.draw(belief, view, lens, size)[0]
 
-    def _box(self, half: Sequence[float], colour: Sequence[int], place: Sequence[float]) -> int:
+    def _box(
+        self,
+        half: Sequence[float],
+        colour: Sequence[int],
+        place: Sequence[float],
+        turn: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+    ) -> int:
         rgba = [part / 255.0 for part in colour] + [1.0]
         shape = self._bullet.createVisualShape(self._bullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba)
-        return int(self._bullet.createMultiBody(0, -1, shape, basePosition=place))
+        return int(self._bullet.createMultiBody(0, -1, shape, basePosition=place, baseOrientation=turn))
+
+
+def _place_of(pose: Floats) -> tuple[list[float], list[float]]:
+    return pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
 
 
 class Views(Probe):

@@ -22,7 +22,7 @@ import pybullet_data
 from hierax.nodes.picking.panda import JOINTS, TORQUES_NM
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, pose_of, prepare
-from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose, quaternion_of
 
 STEP_HZ = 240
 STEP_S = 1.0 / STEP_HZ
@@ -47,6 +47,10 @@ _CENTRING_NS_M = 10.0
 _SOLVER_ITERATIONS = 100
 _TABLE_HALF_M = (2.0, 2.0, 0.5)
 
+# Somebody's hand: half of its sides, metres; what it weighs, kg; and with how much force it is drawn, and grips, N.
+GUEST_HALF_M = np.array([0.03, 0.035, 0.012])
+GUEST_KG, GUEST_N, GUEST_GRIP_N, GUEST_FRICTION = 0.4, 80.0, 60.0, 0.4
+
 
 class Arm(NamedTuple):
     """The arm's joints."""
@@ -63,6 +67,24 @@ class Cube(NamedTuple):
     side_m: float
     pose: Floats
     velocity: Floats
+
+
+class Grip(NamedTuple):
+    """What somebody's hand holds: the number of the cube among those given, from 1, and palm_from_cube."""
+
+    cube: int
+    holds: Floats
+
+
+class Guest(NamedTuple):
+    """Somebody's hand, a box that is drawn along by a bounded force: world_from_palm and its velocity (6,), between
+    which poses it is drawn at an even pace, and what it grips."""
+
+    pose: Floats
+    velocity: Floats
+    start: Floats
+    end: Floats
+    grip: Grip | None
 
 
 class Order(NamedTuple):
@@ -91,19 +113,26 @@ class Workcell:
         with open(self._model, "wb", closefd=False) as file:
             file.write(panda_text())
 
-    def run(self, arm: Arm, cubes: Sequence[Cube], order: Order, steps: int) -> tuple[Arm, list[Cube], list[Touch]]:
-        """Let the arm follow an order, and things fall, slide and be held, for so many steps of `STEP_S`: how arm and
-        cubes are afterwards, and what each cube then touches."""
+    def run(
+        self, arm: Arm, cubes: Sequence[Cube], order: Order, steps: int, guest: Guest | None = None
+    ) -> tuple[Arm, list[Cube], list[Touch], Guest | None]:
+        """Let the arm follow an order, somebody's hand go its way, and things fall, slide and be held, for so many
+        steps of `STEP_S`: how arm, cubes and hand are afterwards, and what each cube then touches."""
         iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
         table = prepare(self.bullet, STEP_S, _TABLE_HALF_M, TABLE_FRICTION, **iterations)
         robot = self._create_arm(arm, table)
         handles = [self._create_cube(cube) for cube in cubes]
+        hand = None if guest is None else self._create_guest(guest, handles)
         for step in range(1, steps + 1):
+            if guest is not None and hand is not None:
+                self._draw_guest(hand, guest, step / steps)
             self._drive_joints(robot, order.start + (order.end - order.start) * (step / steps))
             self._drive_fingers(robot, order.width_m)
             self.bullet.stepSimulation()
         after = [self._read_cube(handle, cube) for handle, cube in zip(handles, cubes, strict=True)]
-        return self._read_arm(robot), after, [self._touch(handle, robot) for handle in handles]
+        touches = [self._touch(handle, robot) for handle in handles]
+        left = None if guest is None or hand is None else self._read_guest(hand, guest)
+        return self._read_arm(robot), after, touches, left
 
     def _create_arm(self, arm: Arm, table: int) -> int:
         bullet = self.bullet
@@ -124,6 +153,35 @@ class Workcell:
         handle = create_body(self.bullet, shape, DENSITY_KG_M3 * cube.side_m**3, CUBE_FRICTION, cube.pose)
         self.bullet.resetBaseVelocity(handle, cube.velocity[:3].tolist(), cube.velocity[3:].tolist())
         return handle
+
+    def _create_guest(self, guest: Guest, cubes: Sequence[int]) -> tuple[int, int]:
+        """The handles of somebody's hand, and of what draws it along."""
+        bullet = self.bullet
+        shape = box_shape(bullet, GUEST_HALF_M.tolist())
+        hand = create_body(bullet, shape, GUEST_KG, GUEST_FRICTION, guest.pose)
+        bullet.resetBaseVelocity(hand, guest.velocity[:3].tolist(), guest.velocity[3:].tolist())
+        origin = [0.0, 0.0, 0.0]
+        place, turn = _place_of(guest.start)
+        towards = int(bullet.createConstraint(hand, -1, -1, -1, bullet.JOINT_FIXED, origin, origin, place, None, turn))
+        if guest.grip is not None:
+            cube = cubes[guest.grip.cube - 1]
+            place, turn = _place_of(guest.grip.holds)
+            fixed = bullet.createConstraint(hand, -1, cube, -1, bullet.JOINT_FIXED, origin, place, origin, turn)
+            bullet.changeConstraint(fixed, maxForce=GUEST_GRIP_N)
+            bullet.setCollisionFilterPair(hand, cube, -1, -1, 0)
+        return hand, towards
+
+    def _draw_guest(self, hand: tuple[int, int], guest: Guest, part: float) -> None:
+        way = guest.end[:3, 3] - guest.start[:3, 3]
+        turn = log_so3(guest.end[:3, :3] @ guest.start[:3, :3].T)
+        place, turned = _place_of(
+            make_pose(exp_so3(part * turn) @ guest.start[:3, :3], guest.start[:3, 3] + part * way)
+        )
+        self.bullet.changeConstraint(hand[1], place, turned, maxForce=GUEST_N)
+
+    def _read_guest(self, hand: tuple[int, int], guest: Guest) -> Guest:
+        linear, angular = self.bullet.getBaseVelocity(hand[0])
+        return guest._replace(pose=pose_of(self.bullet, hand[0]), velocity=np.array(linear + angular))
 
     def _drive_joints(self, robot: int, targets: Floats) -> None:
         gains = {"positionGain": 0.15, "velocityGain": 1.0}
@@ -160,6 +218,11 @@ class Workcell:
         parts = {link for body, link in pressed if body == robot}
         others = any(body != robot for body, _ in pressed)
         return Touch(parts.issuperset(FINGERS), others or bool(parts.difference(FINGERS)))
+
+
+def _place_of(pose: Floats) -> tuple[list[float], list[float]]:
+    """Position and quaternion of a pose, as pybullet has them."""
+    return pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
 
 
 def panda_file() -> Path:

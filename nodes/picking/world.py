@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.commands import CommandedNode
-from hierax.nodes.picking.layout import SIDES_M, disturbed, planned
+from hierax.nodes.picking.layout import CUBES, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
-from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Workcell
+from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Guest, Order, Touch, Workcell
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 from hierax.nodes.tracking.simworld.world import check_pictures, picture_seen
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
@@ -45,7 +45,7 @@ class PickWorld(CommandedNode, World):
     nothing but the fingers).
 
     Args:
-        scene: number of the scene, from 0; cubes: how many cubes, from 1 to 5.
+        scene: number of the scene, from 0; cubes: how many cubes, from 1 to 6.
         frames: after how many the world has finished, if nothing has been held long enough by then.
         width, height: of the pictures, in pixels.
         noise: standard deviation of the sensor's noise, in grey levels of 256.
@@ -55,7 +55,7 @@ class PickWorld(CommandedNode, World):
     def __init__(
         self,
         scene: int = 0,
-        cubes: int = len(SIDES_M),
+        cubes: int = CUBES,
         frames: int = 400,
         width: int = 640,
         height: int = 480,
@@ -83,6 +83,10 @@ class PickWorld(CommandedNode, World):
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ: one frame interval of the arm's controller and of physics."""
+        return self.advanced(actions, belief, None)[0]
+
+    def advanced(self, actions: Elements, belief: Value, guest: Guest | None) -> tuple[Value, Guest | None]:
+        """The belief a frame interval later, where somebody's hand goes its way; and that hand."""
         interval_s = 1.0 / self._fps
         setpoint, pace, width = belief["setpoint"], 0.0, float(belief["fingers"].sum())
         if actions:
@@ -92,13 +96,13 @@ class PickWorld(CommandedNode, World):
         arm = Arm(*(belief[name] for name in Arm._fields))
         cubes = [Cube(body["side_m"], body["pose"], body["velocity"]) for body in belief["bodies"]]
         order = Order(belief["targets"], targets, width)
-        arm, cubes, touches = self._workcell.run(arm, cubes, order, STEP_HZ // self._fps)
+        arm, cubes, touches, guest = self._workcell.run(arm, cubes, order, STEP_HZ // self._fps, guest)
         frame = {"frame": belief["frame"] + 1, "time_s": (belief["frame"] + 1) / self._fps}
         controller = {"targets": targets, "setpoint": setpoint, "pace": pace}
         moved = zip(belief["bodies"], cubes, touches, strict=True)
         bodies = tuple(_moved(body, cube, touch, interval_s) for body, cube, touch in moved)
         camera = camera_of(gripper_at(arm.joints))
-        return {**belief, **arm._asdict(), **frame, **controller, "camera": camera, "bodies": bodies}
+        return {**belief, **arm._asdict(), **frame, **controller, "camera": camera, "bodies": bodies}, guest
 
     def time_s(self, belief: Value, epoch: int) -> float:
         return float(belief["time_s"])

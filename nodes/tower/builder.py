@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from hierax.nodes.picking.layout import SIDES_M
+from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.phases import WATCH
 from hierax.nodes.tower.goals import read_towers
 from hierax.nodes.tower.rules import NO_PLAN, TABLE, Plan, Wish, height_of, is_done, order_of, wish_of
@@ -30,7 +30,7 @@ class Builder(Node):
 
     initial_policy = "build"
 
-    def __init__(self, tower: Any, cubes: int = len(SIDES_M)) -> None:
+    def __init__(self, tower: Any, cubes: int = CUBES) -> None:
         self.towers = read_towers(tower, cubes)
         self.cubes = tuple(range(1, cubes + 1))
 
@@ -77,7 +77,7 @@ class TeleoReactive(Builder):
 REACTIVE, PLANNER, OPEN_LOOP = "reactive", "planner", "open_loop"
 
 
-def builder(builder: str, tower: Any, cubes: int = len(SIDES_M)) -> Builder:
+def builder(builder: str, tower: Any, cubes: int = CUBES) -> Builder:
     """A builder by its name, ``reactive``, ``planner`` or ``open_loop``; the rest as `Builder` has it.
 
     Raises ValueError: there is none of that name."""

@@ -42,18 +42,28 @@ def place_on(
 def place_on_table(held: Body, bodies: Sequence[Body], box_from_gripper: Floats, width_m: float) -> Floats | None:
     """The same at a free place of the table: the nearest to where the box is; None: there is none."""
     others = [body for body in bodies if body is not held]
+    circles = [(body["pose"][:2, 3], float(np.linalg.norm(body["size"][:2]))) for body in others]
+    for spot in free_spots(circles, float(np.linalg.norm(held["size"][:2])), held["pose"][:2, 3]):
+        pose = _turned(held["pose"], 0.0, np.array([*spot, _half_height(held) + GAP_M]))
+        found = _fits(pose @ box_from_gripper, others, width_m)
+        if found is not None:
+            return found
+    return None
+
+
+def free_spots(circles: Sequence[tuple[Floats, float]], width_m: float, near: Floats | None = None) -> Floats:
+    """Places of the table (n, 2) for a circle, away from others, the nearest first; those with little room are last.
+
+    Args: circles: their middles, m, and widths; width_m: of the one for which there is to be room; near: to where."""
     spots = np.stack(np.meshgrid(*(np.arange(*ends, _STEP_M) for ends in zip(_LOW, _HIGH, strict=True))), axis=-1)
     spots = spots.reshape(-1, 2)
-    gaps = [np.linalg.norm(spots - body["pose"][:2, 3], axis=1) - _radius(body) - _radius(held) for body in others]
+    gaps = [np.linalg.norm(spots - middle, axis=1) - (other_m + width_m) / 2 for middle, other_m in circles]
     gap = np.min(gaps, axis=0) if gaps else np.full(len(spots), np.inf)
-    nearest = np.argsort(np.linalg.norm(spots - held["pose"][:2, 3], axis=1), kind="stable")
-    for room in ROOMS_M:
-        for spot in spots[nearest[gap[nearest] > room]]:
-            pose = _turned(held["pose"], 0.0, np.array([*spot, _half_height(held) + GAP_M]))
-            found = _fits(pose @ box_from_gripper, others, width_m)
-            if found is not None:
-                return found
-    return None
+    away = np.zeros(len(spots)) if near is None else np.linalg.norm(spots - near, axis=1)
+    order = np.argsort(away, kind="stable")
+    room = np.searchsorted(sorted(ROOMS_M), gap[order])
+    order = order[np.argsort(-room, kind="stable")]
+    return np.asarray(spots[order[np.sort(-room, kind="stable") < 0]])
 
 
 def top_of(bodies: Sequence[Body]) -> float:
@@ -94,7 +104,3 @@ def _yaw(pose: Floats) -> float:
 
 def _half_height(body: Body) -> float:
     return 0.5 * float(np.abs(body["pose"][2, :3]) @ body["size"])
-
-
-def _radius(body: Body) -> float:
-    return 0.5 * float(np.linalg.norm(body["size"][:2]))

@@ -10,7 +10,7 @@ from importlib import import_module
 from itertools import pairwise
 from typing import Any
 
-from hierax.nodes.picking.layout import SIDES_M
+from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.phases import RETREAT
 from hierax.nodes.tower.builder import Builder
 from hierax.nodes.tower.goals import Towers
@@ -59,7 +59,7 @@ beside(S, C) :- free(S, C), free(S, L), at(C, L, n).
 class PlanningBuilder(Builder):
     """What plans. Raises ValueError: its library is not there."""
 
-    def __init__(self, tower: Any, cubes: int = len(SIDES_M)) -> None:
+    def __init__(self, tower: Any, cubes: int = CUBES) -> None:
         super().__init__(tower, cubes)
         _library()
 

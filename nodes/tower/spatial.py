@@ -1,13 +1,20 @@
 """The spatial node below one that reasons: what was put somewhere, and is not seen, stays there."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from hierax.nodes.picking.layout import SIDES_M
+from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.tracker import PickSpatial, first_bodies
+from hierax.nodes.tracking.estimation.tracked import diagonal_covariance
+from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.schema import EXPECTED, TRACKED
 from hierax.runtime import Elements, Value
+
+# How well it is known, in each axis, where something stands that was put there, and is not seen just now.
+STANDS_M, STANDS_RAD = 0.003, np.radians(3.0)
+_STAYS = ("pose", "velocity", "covariance")
 
 
 class TowerSpatial(PickSpatial):
@@ -19,26 +26,39 @@ class TowerSpatial(PickSpatial):
     looked for everywhere, in vain."""
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        """γ of `PickSpatial`, but that cubes of which it is known that they stand stay, unless they are seen."""
+        """γ of `PickSpatial`, but that cubes of which it is known that they stand stay where they were, about as well
+        known as ever, unless they are seen. While the camera overlooks the table, what is lost is lost all the same."""
         told: Value = context[0] if context else {"held": None, "stands": (), "looks": True}
         kept = {
-            body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6)}
+            body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6), "covariance": _bounded(body)}
             for body in belief["bodies"]
             if body["status"] != TRACKED and body["id"] in told["stands"] and body["id"] != told["held"]
         }
         bodies = tuple(kept.get(body["id"], body) for body in belief["bodies"])
         after = super().predict(context, actions, {**belief, "bodies": bodies})
-        stay = ("pose", "velocity")
+        said = {body["id"]: body["status"] for body in belief["bodies"]}
         return {
             **after,
             "sweeping": after["sweeping"] if told["looks"] else (),
             "bodies": tuple(
-                {**body, **{name: kept[body["id"]][name] for name in stay}} if body["id"] in kept else body
+                {
+                    **body,
+                    **{name: kept[body["id"]][name] for name in _STAYS},
+                    "status": said[body["id"]] if told["looks"] else EXPECTED,
+                }
+                if body["id"] in kept
+                else body
                 for body in after["bodies"]
             ),
         }
 
 
-def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> TowerSpatial:
+def _bounded(body: Mapping[str, Any]) -> Floats:
+    """A covariance that is no greater than `STANDS_M` and `STANDS_RAD` make it."""
+    vague = float(np.trace(body["covariance"][:3, :3])) > 3.0 * STANDS_M**2
+    return diagonal_covariance(STANDS_M, STANDS_RAD) if vague else body["covariance"]
+
+
+def spatial(scene: int = 0, cubes: int = CUBES, **options: Any) -> TowerSpatial:
     """The spatial node as `hierax.nodes.picking.tracker.spatial` has it, below a builder."""
     return TowerSpatial(first_bodies(scene, cubes), table=True, **options)

@@ -1,16 +1,28 @@
 """The world of the tower building arm: that of the picking one, which also knows by the truth what was built."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from hierax.nodes.picking.layout import SIDES_M
+from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.world import PickWorld
 from hierax.nodes.tower.goals import Tower, orders_of, read_towers
-from hierax.runtime import Elements, Value
+from hierax.nodes.tower.person import (
+    ACTS,
+    NOBODY,
+    Scene,
+    acted,
+    can_begin,
+    generator,
+    moved,
+    obstacles,
+    scene_of,
+)
+from hierax.runtime import NO_TICK, Elements, Tick, Value
 
+NONE = "none"  # in place of what a person does: nobody is there
 DONE_S = 1.0  # a tower is done when it has stood for so long with the hand away from it
 
 _UPRIGHT = 0.99  # cosine of how far a cube may lean
@@ -23,22 +35,41 @@ class TowerWorld(PickWorld):
     """An arm over a table with cubes, of which towers are asked for.
 
     The belief is that of `PickWorld`, with ``done_s`` (how long all towers have stood), ``actions`` (how many times a
-    cube was raised by the hand) and ``raised`` (the cubes that are, each with the height at which it began).
+    cube was raised by the hand), ``raised`` (the cubes that are), ``rests`` (of each cube, how high it is where it
+    rests), ``person`` (see `hierax.nodes.tower.person`) and ``obstacles``, the boxes of which a hand of that person
+    consists in pictures.
 
-    Args: tower: as `hierax.nodes.tower.goals.read_towers` has it; scene, cubes, frames, options: as `PickWorld` has
-        them. Raises ValueError: the tower cannot be built of these cubes."""
+    Args: tower: as `hierax.nodes.tower.goals.read_towers` has it; person: what somebody does to the towers, one of
+        `hierax.nodes.tower.person.ACTS`, or several, one after the other; ``none``: nothing; scene, cubes, frames,
+        options: as `PickWorld` has them.
+    Raises ValueError: the tower cannot be built of these cubes, or nobody does such a thing."""
 
     def __init__(
-        self, tower: Any, scene: int = 0, cubes: int = len(SIDES_M), frames: int = 2400, **options: Any
+        self,
+        tower: Any,
+        person: str | Sequence[str] = NONE,
+        scene: int = 0,
+        cubes: int = CUBES,
+        frames: int = 2400,
+        **options: Any,
     ) -> None:
-        self._towers = read_towers(tower, cubes)
+        self._towers, self._scene = read_towers(tower, cubes), scene
+        self._acts = _read_acts(person)
         super().__init__(scene, cubes, frames, **options)
         rests = {str(body["id"]): float(body["pose"][2, 3]) for body in self._first["bodies"]}
-        self._first = {**self._first, "done_s": 0.0, "actions": 0, "raised": (), "rests": rests}
+        counted = {"done_s": 0.0, "actions": 0, "raised": (), "rests": rests}
+        self._first = {**self._first, **counted, "person": NOBODY, "obstacles": ()}
 
-    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        """γ of `PickWorld`, and what has come of it."""
-        after = super().predict(context, actions, belief)
+    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """γ of `PickWorld` with a person, and what has come of it."""
+        scene = self._seen(belief, tick.seed)
+        person, guest = acted(belief["person"], scene, self._acts, 1.0 / self._fps)
+        after, left = self.advanced(actions, belief, guest)
+        person = person if left is None else moved(person, left.pose, left.velocity)
+        return {**self._counted(belief, after), "person": person, "obstacles": obstacles(person)}
+
+    def _counted(self, belief: Value, after: Value) -> Value:
+        """What has become of the towers, and of what the arm has raised, beside a frame before."""
         bodies = {body["id"]: body for body in after["bodies"]}
         raised, rests = set(belief["raised"]), dict(belief["rests"])
         begun = 0
@@ -56,12 +87,16 @@ class TowerWorld(PickWorld):
         return {**after, **counted, "done_s": done_s}
 
     def finished(self, belief: Value) -> bool:
-        """Whether all towers have stood long enough, or the frames are over."""
-        return bool(belief["frame"] >= self._frames or belief["done_s"] >= DONE_S - 1e-9)
+        """Whether all towers have stood long enough and nobody is about to do something to them, or the frames are
+        over."""
+        if belief["frame"] >= self._frames or belief["done_s"] < DONE_S - 1e-9:
+            return bool(belief["frame"] >= self._frames)
+        return not can_begin(belief["person"], self._seen(belief, 0), self._acts)
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """By the truth: how many towers stand, how far the middle of a cube in them is beside that of the one below at
-        most (mm; -1 where none stands on another), and how many times a cube was raised."""
+        most (mm; -1 where none stands on another), how many times a cube was raised, and how often somebody has
+        interfered."""
         bodies = {body["id"]: body for body in belief["bodies"]}
         done = [order for tower in self._towers if (order := _order_built(tower, bodies)) is not None]
         beside = [_beside_mm(bodies[upper], bodies[lower]) for tower in done for lower, upper in pairwise(tower)]
@@ -69,11 +104,40 @@ class TowerWorld(PickWorld):
             "towers_done": float(len(done)),
             "placed_mm_max": max(beside, default=-1.0),
             "actions": float(belief["actions"]),
+            "interferences": float(belief["person"]["done"]),
         }
+
+    def _seen(self, belief: Value, seed: int) -> Scene:
+        """What the person sees."""
+        bodies = {body["id"]: body for body in belief["bodies"]}
+        orders = [order for tower in self._towers if _order_built(tower, bodies) is None for order in orders_of(tower)]
+        heights = [_height_of(order, bodies) for order in orders]
+        best = int(np.argmax(heights)) if heights else None
+        order, height = (orders[best], heights[best]) if best is not None else self._built(bodies)
+        drawn = generator(seed, self._scene, belief["person"]["done"])
+        return scene_of(belief, order, height, drawn)
+
+    def _built(self, bodies: Mapping[int, Mapping[str, Any]]) -> tuple[tuple[int, ...], int]:
+        """The last tower, where all stand."""
+        order = _order_built(self._towers[-1], bodies) or ()
+        return order, len(order)
 
     def _stands(self, belief: Value) -> bool:
         bodies = {body["id"]: body for body in belief["bodies"]}
         return all(_order_built(tower, bodies) is not None for tower in self._towers)
+
+
+def _read_acts(person: str | Sequence[str]) -> tuple[str, ...]:
+    given = [person] if isinstance(person, str) else list(person)
+    for name in given:
+        if name != NONE and name not in ACTS:
+            raise ValueError(f"person is {person!r}; expected {NONE}, or some of {', '.join(ACTS)}")
+    return tuple(name for name in given if name != NONE)
+
+
+def _height_of(order: tuple[int, ...], bodies: Mapping[int, Mapping[str, Any]]) -> int:
+    """How many cubes of a tower stand as they should, from the bottom up, whatever is on the last of them."""
+    return next((count for count in range(len(order), 0, -1) if _stands(order[:count], bodies)), 0)
 
 
 def _order_built(tower: Tower, bodies: Mapping[int, Mapping[str, Any]]) -> tuple[int, ...] | None:
@@ -83,6 +147,17 @@ def _order_built(tower: Tower, bodies: Mapping[int, Mapping[str, Any]]) -> tuple
 
 def _is_built(tower: tuple[int, ...], bodies: Mapping[int, Mapping[str, Any]]) -> bool:
     """Whether each cube of a tower stands on the one below, the first one on the table, and nothing on the last."""
+    if not _stands(tower, bodies):
+        return False
+    top = bodies[tower[-1]]
+    others = [body for number, body in bodies.items() if number not in tower]
+    return not any(
+        _beside_mm(body, top) < 1000.0 * body["side_m"] and body["pose"][2, 3] > top["pose"][2, 3] for body in others
+    )
+
+
+def _stands(tower: tuple[int, ...], bodies: Mapping[int, Mapping[str, Any]]) -> bool:
+    """Whether each cube of a tower stands on the one below, the first one on the table."""
     height = 0.0
     for level, number in enumerate(tower):
         body = bodies[number]
@@ -93,11 +168,7 @@ def _is_built(tower: tuple[int, ...], bodies: Mapping[int, Mapping[str, Any]]) -
             return False
         if level and _beside_mm(body, bodies[tower[level - 1]]) > 500.0 * bodies[tower[level - 1]]["side_m"]:
             return False
-    top = bodies[tower[-1]]
-    others = [body for number, body in bodies.items() if number not in tower]
-    return not any(
-        _beside_mm(body, top) < 1000.0 * body["side_m"] and body["pose"][2, 3] > top["pose"][2, 3] for body in others
-    )
+    return True
 
 
 def _beside_mm(upper: Mapping[str, Any], lower: Mapping[str, Any]) -> float:

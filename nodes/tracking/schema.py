@@ -6,7 +6,18 @@ covariance stands in the object's frame."""
 
 from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType
-from typing import Annotated, Any, NamedTuple, TypedDict, Union, final, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    NotRequired,
+    TypedDict,
+    Union,
+    final,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -279,6 +290,14 @@ class Cube(TypedDict):
 
 
 @final
+class Obstacle(TypedDict):
+    """A box that is seen, and of which no node knows the shape."""
+
+    pose: WorldFromObject
+    size: tuple[float, float, float]  # its sides, m
+    colour: tuple[int, int, int]  # RGB, 0 to 255
+
+
 class SimBelief(TypedDict):
     """What the simulated world is."""
 
@@ -290,6 +309,7 @@ class SimBelief(TypedDict):
     noise: float  # standard deviation of the sensor's noise, grey levels of 256
     blur_px: float  # standard deviation of the lens's blur, pixels
     bodies: tuple[Cube, ...]
+    obstacles: NotRequired[tuple[Obstacle, ...]]
 
 
 class Body(TypedDict):

@@ -91,10 +91,14 @@ def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
 
 
 def imagined(item: schema.TrackedObject, expected: schema.ExpectedObject, camera: Floats) -> schema.TrackedObject:
-    """One object's prediction and its visible edges, by its entry in the context and world_from_camera."""
+    """One object's prediction and its visible edges, by its entry in the context and world_from_camera. One that was
+    lost is expected again where who knows more than the image says so."""
     controls = bent(expected["controls"], item["slots"])
+    again = item["status"] == schema.LOST and expected["status"] == schema.EXPECTED
+    known = {"status": schema.EXPECTED, "misses": 0} if again else {}
     return {
         **item,
+        **known,
         **schema.looking_alike(expected),
         "before": item["pose"],
         "pose": invert(camera) @ expected["pose"],

@@ -11,7 +11,7 @@ from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, looking_down, make_pose
 from hierax.nodes.tracking.schema import Nothing, Picture, SimBelief
 from hierax.nodes.tracking.simworld.scene import develop, draw
-from hierax.nodes.tracking.simworld.shapes import Thing, cube, cube_corners
+from hierax.nodes.tracking.simworld.shapes import Thing, box, cube, cube_corners
 from hierax.runtime import NO_TICK, Step, Tick, Value, World
 from hierax.runtime.core.showing import Things
 
@@ -140,7 +140,8 @@ def check_pictures(frames: int, width: int, height: int, noise: float, blur_px: 
 def picture_seen(belief: SimBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]:
     """φ of the simulated world: the picture that the camera takes, with noise of the tick's generator."""
     cubes = [Thing(body["pose"], cube(body["side_m"]), body["colour"]) for body in belief["bodies"]]
-    picture = draw(cubes, belief["camera"], belief["intrinsics"], belief["size"])
+    boxes = [Thing(each["pose"], box(each["size"]), each["colour"]) for each in belief.get("obstacles", ())]
+    picture = draw([*cubes, *boxes], belief["camera"], belief["intrinsics"], belief["size"])
     image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
     return ({"image": image, "camera": belief["camera"], "intrinsics": belief["intrinsics"], "frame": belief["frame"]},)
 

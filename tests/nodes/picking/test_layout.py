@@ -55,9 +55,9 @@ def test_fewer_cubes_are_the_first_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scene", "cubes", "said"), [(-1, 5, "scene is -1"), (0, 0, "cubes is 0"), (0, 6, "cubes is 6")]
+    ("scene", "cubes", "said"), [(-1, 5, "scene is -1"), (0, 0, "cubes is 0"), (0, 7, "cubes is 7")]
 )
 def test_what_is_out_of_range_is_named(scene: int, cubes: int, said: str) -> None:
-    assert len(SIDES_M) == 5
+    assert len(SIDES_M) == 6
     with pytest.raises(ValueError, match=said):
         planned(scene, cubes)

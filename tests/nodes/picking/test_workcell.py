@@ -43,7 +43,7 @@ def forth(cell: Workcell, scene: Scene, height_m: float, width_m: float, frames:
     for frame in range(1, frames + 1):
         wanted = gripper_over(start + (height_m - start) * frame / frames)
         targets, _ = joints_for(wanted, scene.targets)
-        arm, (cube,), (touch,) = cell.run(scene.arm, [scene.cube], Order(scene.targets, targets, width_m), STEPS)
+        arm, (cube,), (touch,), _ = cell.run(scene.arm, [scene.cube], Order(scene.targets, targets, width_m), STEPS)
         scene = Scene(arm, cube, touch, targets)
     return scene
 
@@ -103,7 +103,7 @@ def test_at_rest_nothing_moves() -> None:
     cube = Cube(SIDE_M, make_pose(np.eye(3), np.array([0.5, 0.0, SIDE_M / 2])), np.zeros(6))
     cell = Workcell()
     for _ in range(10):
-        arm, (cube,), (touch,) = cell.run(arm, [cube], Order(joints, joints, 0.08), STEPS)
+        arm, (cube,), (touch,), _ = cell.run(arm, [cube], Order(joints, joints, 0.08), STEPS)
     np.testing.assert_allclose(arm.joints, joints, atol=1e-3)
     np.testing.assert_allclose(cube.pose[:3, 3], [0.5, 0.0, SIDE_M / 2], atol=3e-4)
     assert touch == Touch(fingers=False, other=True)

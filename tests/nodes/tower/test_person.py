@@ -1,0 +1,167 @@
+"""What somebody does to towers: each interference happens as it says, by the truth, and the picture shows a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hierax.nodes.picking.commands import command
+from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M
+from hierax.nodes.picking.world import picture_and_hand_seen
+from hierax.nodes.tower.person import ACTS
+from hierax.nodes.tower.world import TowerWorld
+from hierax.runtime.core.node import Tick
+from hierax.schemas.values import decode_value, encode_value
+
+pytestmark = pytest.mark.slow
+
+TOWER = [1, 3, 4, 2]
+FRAMES = 450
+REST = (command(HOME_GRIPPER, WIDEST_M, 0.25),)
+
+
+def begun(person: Any, seed: int = 1) -> tuple[TowerWorld, Any]:
+    """A world in which the third cube stands on the first, and the next one is the fourth; nothing is hidden."""
+    world = TowerWorld(TOWER, person, cubes=4)
+    belief = world.initial_belief()
+    bodies = {body["id"]: body for body in belief["bodies"]}
+    on = bodies[1]["pose"].copy()
+    on[2, 3] += (bodies[1]["side_m"] + bodies[3]["side_m"]) / 2
+    return world, {
+        **belief,
+        "bodies": tuple({**body, "pose": on} if body["id"] == 3 else body for body in belief["bodies"]),
+    }
+
+
+def until_done(world: TowerWorld, belief: Any, seed: int = 1) -> list[Any]:
+    """Beliefs, frame by frame, until the person has gone; the arm rests."""
+    beliefs = [belief]
+    while not beliefs[-1]["person"]["done"]:
+        assert len(beliefs) < FRAMES, beliefs[-1]["person"]
+        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=seed)))
+    for _ in range(10):
+        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=seed)))
+    return beliefs
+
+
+def moves_m(beliefs: list[Any]) -> dict[int, Any]:
+    """By how much each cube is elsewhere at the end."""
+    first, last = ({body["id"]: body["pose"][:3, 3] for body in beliefs[at]["bodies"]} for at in (0, -1))
+    return {number: last[number] - first[number] for number in first}
+
+
+def stays(shift: Any) -> bool:
+    return bool(np.linalg.norm(shift) < 0.003)
+
+
+def knocked(by: dict[int, Any]) -> bool:
+    return by[3][2] < -0.04 and all(map(stays, (by[2], by[4])))
+
+
+def moved(by: dict[int, Any]) -> bool:
+    return np.linalg.norm(by[4][:2]) > 0.03 and abs(by[4][2]) < 0.002 and all(map(stays, (by[1], by[2], by[3])))
+
+
+def helped(by: dict[int, Any]) -> bool:
+    return by[4][2] > 0.09 and all(map(stays, (by[1], by[2], by[3])))
+
+
+def covered(by: dict[int, Any]) -> bool:
+    return by[2][2] > 0.04 and all(map(stays, (by[1], by[3], by[4])))
+
+
+def pushed(by: dict[int, Any]) -> bool:
+    return 0.02 < abs(by[1][1]) < 0.06 and all(map(stays, (by[2], by[4])))
+
+
+@pytest.mark.parametrize(
+    ("name", "happened"),
+    [("knock", knocked), ("move", moved), ("help", helped), ("cover", covered), ("push", pushed)],
+)
+def test_it_happens_as_it_says(name: str, happened: Callable[[dict[int, Any]], bool]) -> None:
+    world, belief = begun(name)
+    beliefs = until_done(world, belief)
+    assert happened(moves_m(beliefs)), (name, moves_m(beliefs))
+    assert world.metrics(beliefs[-1])["interferences"] == 1.0
+    assert beliefs[-1]["obstacles"] == ()
+    hands = [each["person"]["hand"][:3, 3] for each in beliefs if each["obstacles"]]
+    assert np.linalg.norm(np.diff(hands, axis=0), axis=1).max() < 0.05  # nothing jumps
+    cubes = [np.stack([body["pose"][:3, 3] for body in each["bodies"]]) for each in beliefs]
+    assert np.linalg.norm(np.diff(cubes, axis=0), axis=2).max() < 0.06
+
+
+def test_two_cubes_change_places_while_the_camera_does_not_see_one() -> None:
+    world, belief = begun("swap")
+    assert not world.predict((), REST, belief, Tick(seed=1))["person"]["stops"]
+    near = belief["bodies"][0]["pose"].copy()
+    near[:3, :3], near[2, 3] = HOME_GRIPPER[:3, :3], 0.2
+    looks = (command(near, WIDEST_M, 0.5),)
+    beliefs = [belief]
+    while not beliefs[-1]["person"]["done"]:
+        assert len(beliefs) < FRAMES, beliefs[-1]["person"]
+        beliefs.append(world.predict((), looks, beliefs[-1], Tick(seed=1)))
+    first, last = ({body["id"]: body["pose"][:2, 3] for body in beliefs[at]["bodies"]} for at in (0, -1))
+    assert np.linalg.norm(first[2] - last[4]) < 0.01
+    assert np.linalg.norm(first[4] - last[2]) < 0.01
+
+
+def test_several_happen_one_after_the_other() -> None:
+    """A cube that is removed is out of the camera's sight for seconds, and comes back elsewhere."""
+    world, belief = begun(["push", "none", "remove"])
+    beliefs = until_done(world, belief)
+    while beliefs[-1]["person"]["done"] < 2:
+        assert len(beliefs) < 2 * FRAMES
+        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=1)))
+    assert world.metrics(beliefs[-1])["interferences"] == 2.0
+    removed = [each["bodies"][3]["pose"][:3, 3] for each in beliefs]
+    assert sum(place[0] > 0.8 for place in removed) > 4.0 * 20
+    assert 0.03 < np.linalg.norm(removed[-1][:2] - removed[0][:2]) < 0.4
+
+
+def test_the_seed_says_when_and_states_go_over_the_wire() -> None:
+    """A world that goes on from what was sent does the same, to the bit; another seed begins at another instant."""
+    ends = []
+    for seed in (1, 1, 2):
+        world, belief = begun("move")
+        for frame in range(100):
+            if frame % 7 == 0:
+                belief = decode_value(encode_value(belief))
+                world = TowerWorld(TOWER, "move", cubes=4)
+            belief = world.predict((), REST, belief, Tick(seed=seed))
+        ends.append(encode_value(belief))
+    assert ends[0] == ends[1] != ends[2]
+
+
+def test_the_camera_sees_a_hand() -> None:
+    world, belief = begun("cover")
+    pictures = []
+    for _ in range(120):
+        belief = world.predict((), REST, belief, Tick(seed=1))
+        if belief["person"]["holds"] is not None:
+            pictures = [
+                picture_and_hand_seen({**belief, "obstacles": shown, "noise": 0.0})[0]["image"].astype(int)
+                for shown in (belief["obstacles"], ())
+            ]
+            break
+    differs = np.abs(pictures[0] - pictures[1]).sum(axis=2) > 60
+    assert differs.mean() > 0.01
+
+
+def test_nothing_is_done_to_what_is_not_there() -> None:
+    """Of no tower two cubes stand, and the arm holds nothing."""
+    for name in ("knock", "take"):
+        world = TowerWorld(TOWER, name, cubes=4)
+        belief = world.initial_belief()
+        for _ in range(70):
+            belief = world.predict((), REST, belief, Tick(seed=1))
+        assert world.metrics(belief)["interferences"] == 0.0, name
+        assert belief["obstacles"] == ()
+
+
+def test_who_does_what_nobody_knows_is_refused() -> None:
+    with pytest.raises(ValueError, match="person is 'kick'; expected none, or some of knock, move"):
+        TowerWorld(TOWER, "kick")
+    assert set(ACTS) == {"knock", "move", "swap", "take", "help", "cover", "remove", "push"}
