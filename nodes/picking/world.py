@@ -10,7 +10,8 @@ from hierax.nodes.picking.layout import CUBES, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Guest, Order, Touch, Workcell
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
-from hierax.nodes.tracking.simworld.world import check_pictures, picture_seen
+from hierax.nodes.tracking.simworld.shapes import Thing, box
+from hierax.nodes.tracking.simworld.world import check_pictures, picture_of
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
 # How far a cube stands off its place in the plan at most, and how far it is turned.
@@ -120,8 +121,10 @@ class PickWorld(CommandedNode, World):
 def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
     """φ of the world: {"image", "camera", "intrinsics", "frame", "hand"}, the camera's picture and what the arm feels
     of itself, {"gripper": world_from_gripper, by the joints' angles; "width": metres between the finger pads}. The
-    camera is mounted so that nothing of the arm is in its view. The arm throws no shadow."""
-    (seen,) = picture_seen(belief, tick)
+    camera is mounted so that nothing of the arm is in its view. The arm throws no shadow. Where the belief has
+    ``obstacles``, boxes as {"pose", "size", "colour"}, they are seen, too."""
+    boxes = [Thing(each["pose"], box(each["size"]), each["colour"]) for each in belief.get("obstacles", ())]
+    seen = picture_of(belief, tick, boxes)
     hand = {"gripper": gripper_at(belief["joints"]), "width": float(belief["fingers"].sum())}
     return ({**seen, "hand": hand},)
 

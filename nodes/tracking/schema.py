@@ -10,7 +10,6 @@ from typing import (
     Annotated,
     Any,
     NamedTuple,
-    NotRequired,
     TypedDict,
     Union,
     final,
@@ -290,14 +289,6 @@ class Cube(TypedDict):
 
 
 @final
-class Obstacle(TypedDict):
-    """A box that is seen, and of which no node knows the shape."""
-
-    pose: WorldFromObject
-    size: tuple[float, float, float]  # its sides, m
-    colour: tuple[int, int, int]  # RGB, 0 to 255
-
-
 class SimBelief(TypedDict):
     """What the simulated world is."""
 
@@ -309,7 +300,6 @@ class SimBelief(TypedDict):
     noise: float  # standard deviation of the sensor's noise, grey levels of 256
     blur_px: float  # standard deviation of the lens's blur, pixels
     bodies: tuple[Cube, ...]
-    obstacles: NotRequired[tuple[Obstacle, ...]]
 
 
 class Body(TypedDict):

@@ -95,10 +95,10 @@ def imagined(item: schema.TrackedObject, expected: schema.ExpectedObject, camera
     lost is expected again where who knows more than the image says so."""
     controls = bent(expected["controls"], item["slots"])
     again = item["status"] == schema.LOST and expected["status"] == schema.EXPECTED
-    known = {"status": schema.EXPECTED, "misses": 0} if again else {}
     return {
         **item,
-        **known,
+        "status": schema.EXPECTED if again else item["status"],
+        "misses": 0 if again else item["misses"],
         **schema.looking_alike(expected),
         "before": item["pose"],
         "pose": invert(camera) @ expected["pose"],

@@ -1,5 +1,6 @@
 """The simulated world: cubes on a table, and a camera that swings around them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, looking_down, make_pose
 from hierax.nodes.tracking.schema import Nothing, Picture, SimBelief
 from hierax.nodes.tracking.simworld.scene import develop, draw
-from hierax.nodes.tracking.simworld.shapes import Thing, box, cube, cube_corners
+from hierax.nodes.tracking.simworld.shapes import Thing, cube, cube_corners
 from hierax.runtime import NO_TICK, Step, Tick, Value, World
 from hierax.runtime.core.showing import Things
 
@@ -139,11 +140,15 @@ def check_pictures(frames: int, width: int, height: int, noise: float, blur_px: 
 
 def picture_seen(belief: SimBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]:
     """φ of the simulated world: the picture that the camera takes, with noise of the tick's generator."""
+    return (picture_of(belief, tick),)
+
+
+def picture_of(belief: SimBelief, tick: Tick, others: Sequence[Thing] = ()) -> Picture:
+    """The picture that the camera takes of the bodies, and of other things that nobody knows of."""
     cubes = [Thing(body["pose"], cube(body["side_m"]), body["colour"]) for body in belief["bodies"]]
-    boxes = [Thing(each["pose"], box(each["size"]), each["colour"]) for each in belief.get("obstacles", ())]
-    picture = draw([*cubes, *boxes], belief["camera"], belief["intrinsics"], belief["size"])
+    picture = draw([*cubes, *others], belief["camera"], belief["intrinsics"], belief["size"])
     image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
-    return ({"image": image, "camera": belief["camera"], "intrinsics": belief["intrinsics"], "frame": belief["frame"]},)
+    return {"image": image, "camera": belief["camera"], "intrinsics": belief["intrinsics"], "frame": belief["frame"]}
 
 
 def camera_at(time_s: float) -> Floats:
