@@ -44,6 +44,7 @@ class Stop(NamedTuple):
     yaw: float = 0.0  # how the palm is turned about the vertical then, rad
     dwell_s: float = 0.0  # how long it stays there
     follows: int = 0  # the cube that it comes to; 0: none
+    onward: bool = False  # from where the stop before has brought it
 
 
 class Scene(NamedTuple):
@@ -51,6 +52,7 @@ class Scene(NamedTuple):
 
     bodies: Mapping[int, Body]  # by id
     gripper: Floats  # (3,), m
+    closing: Floats  # (3,), the direction in which its fingers close
     raised: Sequence[int]  # cubes that the robot holds
     standing: tuple[
         int, ...
@@ -122,6 +124,8 @@ def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:
     if belief["late_s"] <= (stop.dwell_s if near else _LATE_S + stop.dwell_s):
         return belief
     left = belief["stops"][1:]
+    if left and left[0]["onward"]:
+        left = ({**left[0], "to": left[0]["to"] + belief["target"][:3, 3], "onward": False}, *left[1:])
     after = {**belief, "stops": left, "late_s": 0.0}
     return after if left else {**after, "holds": None, "done": belief["done"] + 1, "pause_s": None}
 
@@ -169,8 +173,8 @@ def scene_of(belief: Value, order: tuple[int, ...], height: int, rng: np.random.
     inside = (seen[:, 2] > 0.0) & np.all((pixels > 0) & (pixels < np.array(belief["size"])), axis=1)
     hidden = frozenset(number for number, shown in zip(bodies, inside, strict=True) if not shown)
     wanted = order[height] if height < len(order) else None
-    gripper = gripper_at(belief["joints"])[:3, 3]
-    return Scene(bodies, gripper, belief["raised"], order[:height], wanted, hidden, rng)
+    gripper = gripper_at(belief["joints"])
+    return Scene(bodies, gripper[:3, 3], gripper[:3, 1], belief["raised"], order[:height], wanted, hidden, rng)
 
 
 def generator(seed: int, scene: int, number: int) -> np.random.Generator:
@@ -251,7 +255,7 @@ def _swept(scene: Scene, number: int, speed: float) -> list[Stop]:
     side = float(scene.rng.choice([-1.0, 1.0]))
     middle = body["pose"][:3, 3].copy()
     middle[2] = max(middle[2], GUEST_HALF_M[2] + 0.003)
-    reach = 0.71 * body["side_m"] + GUEST_HALF_M[1]
+    reach = body["side_m"] / 2 * float(np.abs(body["pose"][1, :3]).sum()) + GUEST_HALF_M[1]
     before, after = (middle + np.array([0.0, side * off, 0.0]) for off in (reach + 0.06, reach - _PUSHED_M))
     return [
         Stop(_over(before, 0.15)),
@@ -326,25 +330,40 @@ def _swap(scene: Scene) -> list[Stop] | None:
 
 
 def _take(scene: Scene) -> list[Stop] | None:
+    """From beside, where the fingers are not."""
     if not scene.raised:
         return None
     number = scene.raised[0]
     body = scene.bodies[number]
     if body["pose"][2, 3] < body["side_m"] or np.linalg.norm(body["pose"][:3, 3] - scene.gripper) > 0.03:
         return None
-    below = np.array([0.0, 0.0, -(body["side_m"] / 2 + GUEST_HALF_M[2] + 0.002)])
-    left = scene.spot(number)
-    left[2] += GUEST_HALF_M[2] * 2 + 0.004
-    aside = np.array([left[0], left[1], 0.0]) - np.array([*body["pose"][:2, 3], 0.0])
-    aside *= 0.12 / max(float(np.linalg.norm(aside)), 1e-9)
-    out = np.array([*(body["pose"][:2, 3] + aside[:2]), max(body["pose"][2, 3] - 0.10, 0.06)])
+    way = np.cross(scene.closing, (0.0, 0.0, 1.0))
+    way *= np.copysign(1.0, way @ (_HOME_M - body["pose"][:3, 3])) / np.linalg.norm(way)
+    beside = (body["side_m"] / 2 + float(np.abs(way[:2]) @ GUEST_HALF_M[:2]) + 0.003) * way
+    place = scene.spot(number)
+    yaw = _with_room(scene, number, place, beside)
+    turned = exp_so3(np.array([0.0, 0.0, yaw]))
+    left = place + turned @ beside
+    back = left + 0.06 * (turned @ way)
+    top = max(each["pose"][2, 3] + each["side_m"] for each in scene.bodies.values())
     return [
-        Stop(below + aside, follows=number),
-        Stop(below, 0.4, follows=number),
-        Stop(out, 0.4, number),
-        Stop(left, 0.3, number),
-        Stop(left - aside / 2, 0.15),
+        Stop(beside + 0.10 * way, follows=number),
+        Stop(beside, 0.4, follows=number),
+        Stop(0.14 * way, 0.4, number, onward=True),
+        Stop(np.array([*left[:2], top + 0.03]), 0.4, number, yaw),
+        Stop(_over(left, 0.002), 0.15, number, yaw, 0.2),
+        Stop(back, 0.2, yaw=yaw),
+        Stop(_over(back), 0.3, yaw=yaw),
     ]
+
+
+def _with_room(scene: Scene, number: int, place: Floats, beside: Floats) -> float:
+    """How a hand is turned that puts a cube down from beside it, so that it is away from all else; rad."""
+    others = [body["pose"][:2, 3] for other, body in scene.bodies.items() if other != number]
+    turns = np.array([0.0, 1.0, 2.0, -1.0]) * np.pi / 2
+    palms = [place + 1.5 * exp_so3(np.array([0.0, 0.0, turn])) @ beside for turn in turns]
+    rooms = [min((float(np.linalg.norm(palm[:2] - at)) for at in others), default=1.0) for palm in palms]
+    return float(turns[int(np.argmax(rooms))])
 
 
 def _help(scene: Scene) -> list[Stop] | None:

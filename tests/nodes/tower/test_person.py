@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hierax.nodes.picking.commands import command
-from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M
+from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M, gripper_down
 from hierax.nodes.picking.world import picture_and_hand_seen
 from hierax.nodes.tower.person import ACTS
 from hierax.nodes.tower.world import TowerWorld
@@ -74,7 +74,7 @@ def covered(by: dict[int, Any]) -> bool:
 
 
 def pushed(by: dict[int, Any]) -> bool:
-    return 0.02 < abs(by[1][1]) < 0.06 and all(map(stays, (by[2], by[4])))
+    return 0.04 < abs(by[1][1]) < 0.06 and abs(by[3][2]) < 0.002 and all(map(stays, (by[2], by[4])))
 
 
 @pytest.mark.parametrize(
@@ -106,6 +106,29 @@ def test_two_cubes_change_places_while_the_camera_does_not_see_one() -> None:
     first, last = ({body["id"]: body["pose"][:2, 3] for body in beliefs[at]["bodies"]} for at in (0, -1))
     assert np.linalg.norm(first[2] - last[4]) < 0.01
     assert np.linalg.norm(first[4] - last[2]) < 0.01
+
+
+def test_the_cube_in_the_arms_hand_is_taken_out_of_it_and_laid_down() -> None:
+    world = TowerWorld(TOWER, "take", cubes=4)
+    belief = world.initial_belief()
+    cube = belief["bodies"][3]
+    down = gripper_down(cube["pose"][:3, 3], float(np.arctan2(cube["pose"][1, 0], cube["pose"][0, 0])))
+    up = down.copy()
+    up[2, 3] = 0.25
+    for goal, width, frames in ((up, 0.08, 60), (down, 0.08, 60), (down, 0.0, 20)):
+        for _ in range(frames):
+            belief = world.predict((), (command(goal, width, 0.25),), belief, Tick(seed=1))
+    assert not belief["person"]["stops"]
+    heights = []
+    while not belief["person"]["done"]:
+        assert len(heights) < FRAMES, belief["person"]
+        belief = world.predict((), (command(up, 0.0, 0.25),), belief, Tick(seed=1))
+        heights.append(belief["bodies"][3]["pose"][2, 3])
+    assert max(heights) > 0.10
+    assert belief["actions"] == 1
+    assert abs(heights[-1] - cube["side_m"] / 2) < 0.002
+    assert np.linalg.norm(belief["bodies"][3]["pose"][:2, 3] - cube["pose"][:2, 3]) > 0.03
+    assert belief["fingers"].sum() < 0.01
 
 
 def test_several_happen_one_after_the_other() -> None:
