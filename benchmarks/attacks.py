@@ -1,60 +1,148 @@
-"""Attack a launch without its key, in every way that Zenoh offers, and see that nothing comes of it.
+"""Attack hierax in every way that is known, and see that nothing comes of it.
 
     python benchmarks/attacks.py                          # floods of 10⁵ messages and 100 MB, some minutes
     python benchmarks/attacks.py --messages 2000 --megabytes 8
+    python benchmarks/attacks.py files                    # closed, encrypted or files alone
 
-The attacker is another user where root starts this. It has no key, a wrong one, another run's, or an old run's; it
-links as a client and as a peer, to the port of every process; and last comes without Zenoh. Exit code 1 where anything
-comes of an attack, the digest is not that of `hierax run`, or a process has taken more than 50 MB over what it had.
+closed      a launch on one machine: the attacker has no key, a wrong one, another run's, or an old run's
+encrypted   a launch with --host: it has no certificate, another run's, or one of the two secrets of the right run
+files       recordings, folders, checkpoints, rosters, keys, deployment files and answers of what is no launch
+
+Launches are attacked by another user where root starts this, as client and as peer, at the port of every process, and
+last without Zenoh. One row is printed for each attack. Exit code 1 where anything comes of one: the digest is not that
+of `hierax run`, nobody was told of who was refused, code was run, a file is answered otherwise than by one line, or a
+process has taken more than 50 MB over what it takes undisturbed.
 """
 
 import argparse
+import json
 import re
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
+from support import file_attacks  # noqa: E402
 from support.attacks import attacked, order_for  # noqa: E402
 from support.live import Live  # noqa: E402
 
-from hierax.runtime.host.run_secret import new_secret  # noqa: E402
+from hierax.runtime.host.run_folder import run_folder  # noqa: E402
+from hierax.runtime.host.run_secret import authority_of, new_secret, token_of  # noqa: E402
 
 ALLOWED_BYTES = 50 << 20
+_OFTEN = re.compile(r"no (key|certificate) of this run(?: \((\d+) times by now\))?")
+
+
+class Row(NamedTuple):
+    """An attack, and what came of it; empty: nothing."""
+
+    what: str
+    came: str
+    told: str = ""  # to whom it is done
+
+
+Options = argparse.Namespace
+Secrets = dict[str, str | None]
 
 
 def main() -> int:
     """Attack, and tell of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*", choices=[*WAYS, []])
     parser.add_argument("--messages", type=int, default=100_000)
     parser.add_argument("--megabytes", type=int, default=100)
     options = parser.parse_args()
+    rows: list[Row] = []
+    for way in options.what or WAYS:
+        with tempfile.TemporaryDirectory(prefix="hierax-attacks-") as folder:
+            for row in WAYS[way](Path(folder), options):
+                print(f"{'FAILED' if row.came else 'refused'}  {way}: {row.what}: {row.came or row.told}", flush=True)
+                rows.append(row)
+    failed = sum(1 for row in rows if row.came)
+    print(f"{len(rows)} attacks, something came of {failed}")
+    return int(failed > 0)
+
+
+def closed(folder: Path, options: Options) -> Iterator[Row]:
+    """A launch on one machine."""
+
+    def secrets(live: Live, other: str, old: str) -> Secrets:
+        return {"no key": None, "a wrong key": new_secret(), "another run's key": other, "an old run's key": old}
+
+    return _launched(folder, options, secrets)
+
+
+def encrypted(folder: Path, options: Options) -> Iterator[Row]:
+    """A launch that other machines may join."""
+
+    def secrets(live: Live, other: str, old: str) -> Secrets:
+        token, authority = token_of(live.secret), authority_of(live.secret)
+        return {
+            "no certificate": None,
+            "the password alone": token,
+            "another run's certificate and password": other,
+            "an old run's certificate and password": old,
+            "another run's certificate": f"{token}\n{authority_of(other)}",
+            "another run's password": f"{token_of(other)}\n{authority}",
+        }
+
+    return _launched(folder, options, secrets, "--host", "127.0.0.1")
+
+
+def files(folder: Path, options: Options) -> Iterator[Row]:
+    """Files and answers."""
+    for name, outcome in file_attacks.attacked(folder).items():
+        yield Row(name, outcome["came"], outcome["line"] or "harmless")
+
+
+WAYS: dict[str, Callable[[Path, Options], Iterator[Row]]] = {"closed": closed, "encrypted": encrypted, "files": files}
+
+
+def _launched(
+    folder: Path, options: Options, secrets: Callable[[Live, str, str], Secrets], *launched: str
+) -> Iterator[Row]:
     with ExitStack() as stack:
-        folders = [Path(stack.enter_context(tempfile.TemporaryDirectory())) for _ in range(3)]
-        over = Live(folders[0])
+
+        def launch(name: str) -> Live:
+            (folder / name).mkdir()
+            live = Live(folder / name, *launched)
+            stack.callback(live.close)
+            return live
+
+        over = launch("old")
         old = over.secret
         over.close()
-        other, live = (Live(folder) for folder in folders[1:])
-        stack.callback(live.close)
-        stack.callback(other.close)
-        secrets = {"no key": None, "wrong key": new_secret(), "another run's key": other.secret, "old run's key": old}
-        order = order_for(live, secrets, options.messages, options.megabytes << 20)
+        other, live = launch("other"), launch("attacked")
+        order = order_for(live, secrets(live, other.secret, old), options.messages, options.megabytes << 20)
+        audit = run_folder(live.run["run"]) / "logs" / "_audit.jsonl"
         live.goes_on()
         before = {pid: most_bytes(pid) for pid in order["pids"]}
-        outcome = attacked(order, folders[2])
+        for who, each in attacked(order, folder).items():
+            for what, count in each.items():
+                yield Row(f"{who}: {what}", f"{count} times" if count else "", "0")
         live.goes_on()
         grown = max(most_bytes(pid) - before[pid] for pid in order["pids"])
+        allowed = grown <= ALLOWED_BYTES
+        yield Row("memory", "" if allowed else f"{grown >> 20} MB more", f"at most {grown / 2**20:.1f} MB more")
         live.is_repeated_by()
-    tried = [(who, what, count) for who, each in outcome.items() for what, count in each.items()]
-    for who, what, count in tried:
-        if count:
-            print(f"{who}: {what}: {count}")
-    came = sum(1 for *_, count in tried if count)
-    print(f"{len(tried)} attacks, something came of {came}; digest equal; at most {grown / 2**20:.1f} MB more memory")
-    return int(bool(came) or grown > ALLOWED_BYTES)
+        yield Row("digest", "", "that of `hierax run`")
+        told = refusals(audit)
+        yield Row("who was refused is in the audit", "" if told else "nobody is told", told)
+
+
+def refusals(audit: Path) -> str:
+    """Who was refused for lack of what, and how often, as a launch has written it down."""
+    often: dict[str, int] = {}
+    for line in audit.read_text(encoding="utf-8").splitlines():
+        found = _OFTEN.search(json.loads(line).get("message", ""))
+        if found:
+            often[found[1]] = max(often.get(found[1], 0), int(found[2] or 1))
+    return ", ".join(f"no {lack}: {count} times and more" for lack, count in sorted(often.items()))
 
 
 def most_bytes(pid: int) -> int:

@@ -58,8 +58,13 @@ def interrupted() -> int:
     return INTERRUPTED
 
 
+def printable(text: str) -> str:
+    """A text of foreign make for a terminal: what would move the cursor, or do more, is written out."""
+    return "".join(each if each.isprintable() or each in "\n\t" else repr(each)[1:-1] for each in text)
+
+
 def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    print(printable(line), file=sys.stderr, flush=True)
 
 
 def notify(what: str) -> None:

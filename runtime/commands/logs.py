@@ -13,6 +13,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any
 
+from hierax.runtime.commands.errors import printable
 from hierax.runtime.commands.options import Format, OutputFormat, option
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders, meant
@@ -127,8 +128,8 @@ class Reader:
 def _parsed(line: bytes) -> Iterable[Entry]:
     try:
         entry = json.loads(line)
-    except ValueError:
-        return []  # torn by the death of its process
+    except (ValueError, RecursionError):
+        return []  # torn by the death of its process, or none of ours
     return [entry] if isinstance(entry, dict) and isinstance(entry.get("time"), str) else []
 
 
@@ -150,7 +151,7 @@ def line(entry: Entry) -> str:
     node, process = entry.get("node", "?"), entry.get("process")
     where = f"{node if process in (None, node) else f'{process}/{node}'} epoch {entry.get('epoch', 0)}"
     text = f"{clock} {entry.get('level', '')} {where}: {entry.get('message', '')}"
-    return f"{text}\n{entry['exception']}" if entry.get("exception") else text
+    return printable(f"{text}\n{entry['exception']}" if entry.get("exception") else text)
 
 
 class Level(str, Enum):

@@ -132,12 +132,12 @@ def _runs(options: RunOptions) -> tuple[list[dict[str, Any]], list[str]]:
     from hierax.runtime.transport.launch_client import AnswerError
 
     if (options.run, options.connect, options.key) != (None, None, None):
-        return [_ask(launch_meant(options.run, options.connect, options.key), {"ask": "ps"})], []
+        return [_status(launch_meant(options.run, options.connect, options.key))], []
     found: list[dict[str, Any]] = []
     silent: list[str] = []
     for running in known_runs():
         try:
-            found.append(_ask(Meant.here(running), {"ask": "ps"}))
+            found.append(_status(Meant.here(running)))
         except HieraxError as error:  # noqa: PERF203 - each answers for itself
             if isinstance(error, AnswerError):
                 raise
@@ -157,7 +157,7 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
             if not any(node.get(shown[column]) for node in nodes.values()):
                 del shown[column]
         rows = [
-            tuple(name if not key else "" if node[key] is None else str(node[key]) for key in shown.values())
+            tuple(name if not key else "" if node.get(key) is None else str(node[key]) for key in shown.values())
             for name, node in nodes.items()
         ]
         figures = ("pid", "instance", "restarts")
@@ -169,7 +169,23 @@ def deployment_at(launch: Meant, file: str | None) -> "Deployment":
     from hierax.runtime.deployment.read import read_deployment
 
     said = _ask(launch, {"ask": "ps"})
-    return read_deployment(file or said["file"], said["settings"])
+    named, settings = said.get("file"), said.get("settings")
+    if not isinstance(named, str) or not isinstance(settings, (list, tuple)) or not all(map(_is_text, settings)):
+        raise CommandError(f"the launch at {launch.endpoint} does not say which deployment file it has")
+    return read_deployment(file or named, settings)
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _status(launch: Meant) -> dict[str, Any]:
+    """What a launch says that it runs. Raises `HieraxError` if there is no answer, or none that can be read."""
+    from hierax.runtime.transport.launch_client import LaunchStatus
+
+    said = _ask(launch, {"ask": "ps"})
+    LaunchStatus.read(said)
+    return said
 
 
 def _here(

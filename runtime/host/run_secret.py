@@ -54,12 +54,13 @@ def read_key(path: Path) -> str:
     """The secret in a key. Raises `HieraxError` if it is none, or others than this user may read it."""
     with errors_named(path, "read"), path.open("rb") as file:
         mode = os.fstat(file.fileno()).st_mode & 0o777
-        text = file.read(_LONGEST).decode(errors="replace")
+        text = file.read(_LONGEST + 1).decode(errors="replace")
     if mode & 0o077:
         raise HieraxError(f"{path}: others may read it (mode {mode:04o}); expected a key for you alone: chmod 600")
     line, _, authority = text.partition("\n")
     user, _, token = line.strip().partition(":")
-    if user != USER or not token.isalnum() or (authority.strip() and not _AUTHORITY.fullmatch(authority)):
+    is_whole = user == USER and token.isalnum() and len(text) <= _LONGEST
+    if not is_whole or (authority.strip() and not _AUTHORITY.fullmatch(authority)):
         raise HieraxError(f"{path}: expected the key of a run, a line '{USER}:…', as its launch has written it")
     return f"{token}\n{authority}" if authority.strip() else token
 

@@ -13,6 +13,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.private_files import UnsafeFileError, errors_named, private_folder, read_private, write_private
 from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
 from hierax.runtime.host.run_secret import key_text, read_key
+from hierax.schemas.keys import is_name
 
 _RUN = "run.json"
 _KEY = ".key"
@@ -144,7 +145,7 @@ def known_runs() -> list[Running]:
     for folder in _folders():
         for path in sorted(folder.glob("*.json")):
             try:
-                running = Running(**json.loads(read_private(path)))
+                running = _running(json.loads(read_private(path)))
                 is_alive = running.alive
             except (OSError, ValueError, TypeError, UnsafeFileError, RecursionError):
                 continue  # being written or removed, of another version, or another user's
@@ -175,6 +176,13 @@ def _fit_folder() -> Path:
         except OSError as error:
             why = f"{folder}: the folder of runs cannot be made: {error.strerror or error}"
     raise HieraxError(why)
+
+
+def _running(content: Any) -> Running:
+    running = Running(**content)
+    if not (is_name(running.run) and is_name(running.hierarchy) and running.pid > 0):
+        raise ValueError("expected names of a run and its hierarchy, and a process")
+    return running
 
 
 def _run(content: Any) -> Run:

@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,14 @@ from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, 
 from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
 from hierax.runtime.recording.writing import CHUNK_BYTES, ENDING, INFO, MAGIC, PROFILE, require_mcap
 from hierax.schemas.errors import SchemaError
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.messages import Message
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep
 
 _LARGEST_RECORD = 1 << 30
+_LARGEST_CHUNK = CHUNK_BYTES + MAX_MESSAGE_BYTES + (1 << 16)
+"""How many bytes an unpacked chunk may have: a recorder writes one as soon as it has more than `CHUNK_BYTES`."""
 
 
 @dataclass(frozen=True)
@@ -172,10 +175,32 @@ def _records(path: Path) -> Iterator[Any]:
         try:
             for record in StreamReader(file, emit_chunks=True, record_size_limit=_LARGEST_RECORD).records:
                 if isinstance(record, Chunk):
-                    yield from breakup_chunk(record, validate_crc=True)
+                    yield from breakup_chunk(_unpacked(record), validate_crc=True)
                 else:
                     yield record
         except (EndOfFile, struct.error):
             return  # it was cut off
         except (McapError, ValueError, RuntimeError, ZstdError) as error:
             raise RecordingError(f"{path}: is damaged before byte {file.tell()}: {error}") from error
+
+
+def _unpacked(chunk: Any) -> Any:
+    """A chunk that is not compressed any more; `ValueError` if it is larger than it says, or than any may be."""
+    from zstandard import ZstdDecompressor
+
+    size = chunk.uncompressed_size
+    if size > _LARGEST_CHUNK:
+        raise ValueError(f"a chunk of {size} bytes; at most {_LARGEST_CHUNK} are allowed")
+    if chunk.compression == "zstd":
+        data = ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+    elif chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression:
+        raise ValueError(f"a chunk compressed by {chunk.compression!r:.40}; expected zstd or lz4")
+    else:
+        data = chunk.data
+    if len(data) != size:
+        raise ValueError(f"a chunk says that it has {size} bytes, and has {'more' if len(data) > size else len(data)}")
+    return replace(chunk, compression="", data=data)

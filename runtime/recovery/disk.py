@@ -15,6 +15,9 @@ Durability = Literal["process", "host"]
 SLOTS = 2
 MAGIC = b"hieraxC\x01"  # what each slot's file begins with; the last byte is the format
 
+LARGEST_BYTES = 1 << 30
+"""What a slot's file may have; the largest record takes half of it. One that claims more would have the disk filled."""
+
 _PID_BYTES = 20
 
 
@@ -145,6 +148,8 @@ class _SlotFile:
                 return None
             what = f"begins with {head!r}, so it is no checkpoint that this version can read"
             raise CheckpointError(f"{self._path}: {what}; name another file, or remove it to begin anew")
+        if size > LARGEST_BYTES:
+            raise CheckpointError(f"{self._path}: has {size} bytes; a checkpoint has at most {LARGEST_BYTES}")
         with errors_named(self._path, "mapped", CheckpointError):
             os.posix_fallocate(self._file, 0, size)
             return mmap.mmap(self._file, size)

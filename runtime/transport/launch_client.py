@@ -21,7 +21,7 @@ from hierax.runtime.transport.control import SUPERVISOR, answers_on
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, address_of, close_session, open_session
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.keys import Keys
+from hierax.schemas.keys import Keys, is_name
 from hierax.schemas.roster import Change, Roster
 from hierax.schemas.values import Value
 
@@ -55,19 +55,49 @@ class LaunchStatus:
     @staticmethod
     def read(answer: Answer) -> "LaunchStatus":
         """Read it from the answer to ``{"ask": "ps"}``. Raises `AnswerError` if it is none."""
-        fields = {"hierarchy": str, "run": str, "epoch": int, "roster": int, "nodes": dict}
-        sound = all(isinstance(answer.get(field), kind) for field, kind in fields.items())
-        if not sound or not all(
-            isinstance(row, dict) and {"process", "state"} <= row.keys() for row in answer["nodes"].values()
-        ):
+        sound = all(fits(answer.get(field)) for field, fits in _STATUS.items())
+        if not sound or not all(is_name(name) and _is_row(row) for name, row in answer["nodes"].items()):
             raise AnswerError("the launch gave an answer that cannot be read")
-        return LaunchStatus(*(answer[field] for field in fields))
+        return LaunchStatus(*(answer[field] for field in _STATUS))
 
     def check_node(self, name: str) -> None:
         """Raise `HieraxError`, with the nearest name, if the launch has no node of this one."""
         if name not in self.nodes:
             known = did_you_mean(name, self.nodes, "the nodes are")
             raise HieraxError(f"there is no node {name!r} in {self.hierarchy}, run {self.run}{known}")
+
+
+def _is_text(value: Value) -> bool:
+    return isinstance(value, str) and value.isprintable()
+
+
+def _is_number(value: Value) -> bool:
+    return type(value) is int
+
+
+_STATUS: Mapping[str, Callable[[Value], bool]] = {
+    "hierarchy": is_name,
+    "run": is_name,
+    "epoch": _is_number,
+    "roster": _is_number,
+    "nodes": lambda value: isinstance(value, dict),
+}
+_ROW: Mapping[str, Callable[[Value], bool]] = {
+    "process": _is_text,
+    "pid": lambda value: value is None or _is_number(value),
+    "shares": _is_text,
+    "host": _is_text,
+    "state": _is_text,
+    "restarts": _is_number,
+    "instance": _is_number,
+}
+"""What is told of a node's process."""
+
+
+def _is_row(row: Value) -> bool:
+    if not isinstance(row, dict) or not {"process", "state"} <= row.keys():
+        return False
+    return all(fits(row[field]) for field, fits in _ROW.items() if field in row)
 
 
 class LaunchClient:

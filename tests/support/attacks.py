@@ -2,7 +2,7 @@
 
 Run as ``python attacks.py ORDER.json`` with ``user``, ``endpoints``, ``hierarchy``, ``run``, ``tokens`` (of the
 processes, by node), ``secrets`` (by what they are; null: none), ``messages`` and ``bytes`` (of the floods). It prints
-JSON: by secret and mode, by attack, how much came of it.
+JSON: by secret and mode, by attack, how much came of it. A secret with an authority shows a certificate by it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from typing import Any
 
 import zenoh
 
+from hierax.runtime.host.run_secret import USER, authority_of, token_of
+from hierax.runtime.transport.zenoh_session import encrypted
+
 NOBODY = 65534
 TIMEOUT_S = 300.0
 LINKED_S = 0.5  # how long a session may take to have what it can have
@@ -33,8 +36,10 @@ def order_for(live: Any, secrets: dict[str, str | None], messages: int, size: in
     run = live.run
     pids = [live.launch.process.pid, *(node["pid"] for node in run["nodes"].values())]
     endpoints = ports_of(pids)
-    assert live.endpoint in endpoints
     assert len(endpoints) > len(run["nodes"]), endpoints
+    if live.endpoint.startswith("tls/"):
+        endpoints += [endpoint.replace("tcp/", "tls/") for endpoint in endpoints]
+    assert live.endpoint in endpoints
     return {
         "pids": pids,
         "endpoints": endpoints,
@@ -74,6 +79,7 @@ def ports_of(pids: list[int]) -> list[str]:
 def main() -> None:
     """Make all attacks, and print what came of them."""
     order = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    admissions = {name: _admission(secret) for name, secret in order["secrets"].items()}
     "".encode("idna")  # which sockets look up, where the other user may not read Python's library
     if order["user"] != os.getuid():
         os.setgroups([])
@@ -82,9 +88,9 @@ def main() -> None:
     os.environ["RUST_LOG"] = "off"
     outcome = {
         f"{name}, {mode}": each
-        for name, secret in order["secrets"].items()
+        for name, admission in admissions.items()
         for mode in ("client", "peer")
-        for each in [_by_zenoh(order, secret, mode)]
+        for each in [_by_zenoh(order, admission, mode)]
     }
     outcome["bytes"] = {"connections that were answered": _by_bytes(order)}
     json.dump(outcome, sys.stdout)
@@ -92,7 +98,18 @@ def main() -> None:
     os._exit(0)
 
 
-def _by_zenoh(order: dict[str, Any], secret: str | None, mode: str) -> dict[str, int]:
+def _admission(secret: str | None) -> dict[str, Any]:
+    """Zenoh's settings for who has a secret."""
+    if secret is None:
+        return {}
+    settings: dict[str, Any] = {"transport/auth/usrpwd": {"user": USER, "password": token_of(secret)}}
+    if authority_of(secret):
+        settings |= encrypted(authority_of(secret), ["tls/127.0.0.1:0"])
+        del settings["transport/link/protocols"]  # it tries all
+    return settings
+
+
+def _by_zenoh(order: dict[str, Any], admission: dict[str, Any], mode: str) -> dict[str, int]:
     """By attack, how much came of it in a session of its own."""
     config = {
         "mode": mode,
@@ -100,10 +117,11 @@ def _by_zenoh(order: dict[str, Any], secret: str | None, mode: str) -> dict[str,
         "connect": {"endpoints": order["endpoints"], "timeout_ms": 500, "exit_on_failure": False},
         "scouting": {"multicast": {"enabled": mode == "peer"}},
     }
-    if secret is not None:
-        config["transport"] = {"auth": {"usrpwd": {"user": "hierax", "password": secret}}}
+    settings = zenoh.Config.from_json5(json.dumps(config))
+    for path, value in admission.items():
+        settings.insert_json5(path, json.dumps(value))
     try:
-        session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        session = zenoh.open(settings)
     except zenoh.ZError:
         return {"no session": 0}
     try:
