@@ -7,8 +7,10 @@ while a cube is carried; else when the present one is done."""
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
+import numpy as np
+
 from hierax.nodes.picking.commands import command
-from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M
+from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M, gripper_down
 from hierax.nodes.picking.phases import (
     AIM_S,
     APPROACH,
@@ -36,6 +38,7 @@ from hierax.nodes.picking.planning import OPENING_M, before, choose
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
 from hierax.nodes.tower.rules import TABLE
 from hierax.nodes.tracking.math.geometry import Floats, invert
+from hierax.nodes.tracking.schema import LOST
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
 from hierax.runtime.core.node import Policy
 
@@ -52,6 +55,14 @@ _ALIKE = 2.5  # trace of a turn, 3 at most: by less than 40° a place is followe
 SIGHTED_S = 3.0  # so long what a cube comes onto is where it was seen last, while the one in hand hides it
 
 _OF_A_MOVE = ("target", "box_from_gripper", "box_width", "gripper", "place", "sighted_s", "refused")
+
+VIEW_S = 4.0  # so long the camera looks from one side for what is lost
+VIEWS = (
+    HOME_GRIPPER,
+    *(gripper_down(np.array([0.34, side * 0.24, 0.36]), side * -0.8, np.radians(15.0)) for side in (1.0, -1.0)),
+    gripper_down(np.array([0.44, 0.0, 0.46])),
+)
+"""world_from_gripper where the camera overlooks the table: from home, from both sides, and from above."""
 
 Goal = tuple[int, int]
 """A cube, and what it is to be moved onto."""
@@ -88,10 +99,11 @@ class SkillsNode(Node):
     """Moves cubes.
 
     The belief is that of phases (`hierax.nodes.picking.phases`), with ``goal`` (what is being done; None: nothing),
-    ``asked`` (what was asked for last), ``place`` (world_from_gripper where the cube is put down; None before that is
-    known), ``sighted_s`` (when it was last seen, while the cube is carried, what that comes onto; None: never),
-    ``refused`` (what cannot be done with the cube in the hand), ``width`` (of the gripper, when it was last looked at),
-    ``stands`` (cubes of which the builder says so) and ``moves``, how many have begun.
+    ``asked`` (what was asked for last), ``view`` (from which of `VIEWS` it watches), ``place`` (world_from_gripper
+    where the cube is put down; None before that is known), ``sighted_s`` (when it was last seen, while the cube is
+    carried, what that comes onto; None: never), ``refused`` (what cannot be done with the cube in the hand), ``width``
+    (of the gripper, when it was last looked at), ``stands`` (cubes of which the builder says so) and ``moves``, how
+    many have begun.
 
     Args: once: the cubes are where they were when the first move began, or where the hand has put them since, whatever
         is seen. For comparison."""
@@ -103,7 +115,16 @@ class SkillsNode(Node):
         """Watching; nothing is known, and nothing asked for."""
         seen = {"width": WIDEST_M, "bodies": (), "hand": None}
         nothing = dict.fromkeys(("goal", "asked", *_OF_A_MOVE))
-        return {"phase": WATCH, "since_s": 0.0, "steady_s": None, **seen, **nothing, "stands": (), "moves": 0}
+        return {
+            "phase": WATCH,
+            "view": 0,
+            "since_s": 0.0,
+            "steady_s": None,
+            **seen,
+            **nothing,
+            "stands": (),
+            "moves": 0,
+        }
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """τ: the scene, and the phase that follows."""
@@ -182,14 +203,14 @@ def _with_goal(belief: Value, time_s: float) -> Value:
 
 
 def _watching(belief: Value, time_s: float) -> Value:
-    return entered({**belief, **dict.fromkeys(_OF_A_MOVE)}, WATCH, time_s)
+    return entered({**belief, **dict.fromkeys(_OF_A_MOVE), "view": 0}, WATCH, time_s)
 
 
 def _wish(belief: Value) -> Value:
     """The gripper's command in this phase."""
     phase, grasp = belief["phase"], belief["gripper"]
     if phase == WATCH:
-        return command(HOME_GRIPPER, WIDEST_M, FAST_M_S)
+        return command(VIEWS[belief["view"]], WIDEST_M, FAST_M_S)
     opened_m = belief["box_width"] + OPENING_M
     if phase in (OVER, APPROACH, DESCEND):
         ways = {OVER: _over(belief), APPROACH: before(grasp), DESCEND: grasp}
@@ -228,18 +249,21 @@ def _up(belief: Value) -> Floats:
 
 
 def _after_watch(belief: Value, time_s: float) -> Value:
-    """A grasp of the cube is chosen once the tracker has had time, the camera being home."""
-    belief = steadied(belief, has_reached(belief, HOME_GRIPPER), time_s)
-    if belief["goal"] is None or not is_steady(belief, time_s, LOOK_S):
+    """A grasp of the cube is chosen once the tracker has had time, the camera being still. What is not found from one
+    side is looked for from another one."""
+    belief = steadied(belief, has_reached(belief, VIEWS[belief["view"]]), time_s)
+    if belief["goal"] is not None and is_steady(belief, time_s, LOOK_S):
+        number = belief["goal"][0]
+        sure = [body["id"] for body in belief["bodies"] if body["id"] == number and is_sure(body)]
+        chosen = choose(belief["bodies"], sure)
+        if chosen is not None:
+            grasp = {"target": number, "box_from_gripper": chosen.box_from_gripper, "box_width": chosen.width_m}
+            return entered(aimed({**belief, **grasp, "moves": belief["moves"] + 1}), OVER, time_s)
+    if not is_steady(belief, time_s, VIEW_S):
         return belief
-    number = belief["goal"][0]
-    chosen = choose(
-        belief["bodies"], [body["id"] for body in belief["bodies"] if body["id"] == number and is_sure(body)]
-    )
-    if chosen is None:
-        return belief
-    grasp = {"target": number, "box_from_gripper": chosen.box_from_gripper, "box_width": chosen.width_m}
-    return entered(aimed({**belief, **grasp, "moves": belief["moves"] + 1}), OVER, time_s)
+    searches = belief["goal"] is not None or any(body["status"] == LOST for body in belief["bodies"])
+    view = (belief["view"] + 1) % len(VIEWS) if searches else 0
+    return belief if view == belief["view"] else {**belief, "view": view, "steady_s": None}
 
 
 def _after_over(belief: Value, time_s: float) -> Value:

@@ -12,6 +12,7 @@ from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
+from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
@@ -296,6 +297,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         return {**_unseen(item), "guesses": guesses, "probation": said, "failed_searches": looked}
     return {
         **item,
+        "slots": only_found(item["slots"]),
         "pose": sighting.pose,
         "before": sighting.pose,
         "covariance": sighting.covariance,

@@ -108,7 +108,8 @@ def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> 
 
 
 def only_found(slots: Looks) -> Looks:
-    """What is remembered of an object in another light: where its edges are, and which parts of them are found."""
+    """What is remembered of an object in another light, or in another place, where it may be another of the sides that
+    look alike that is seen: where its edges are, and which parts of them are found."""
     model: Looks = {**NOTHING, "tolerance": slots["tolerance"], "bent": slots["bent"]}
     return {**model, "bends": slots["bends"], "slack": slots["slack"], "parts": slots["parts"], "hits": slots["hits"]}
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
+from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.likelihood import explains, painted
 from hierax.nodes.tracking.estimation.profiles import Image
@@ -76,7 +77,9 @@ def look_for_missing(
         at = places[sweep["id"]]
         known = found.get(at, Sighting(NO_POSES))
         if known.pose is None:
-            found[at] = Sighting(np.concatenate((known.guesses, _fresh(search, maps, objects[at]["slots"], sweep))))
+            found[at] = Sighting(
+                np.concatenate((known.guesses, _fresh(search, maps, only_found(objects[at]["slots"]), sweep)))
+            )
     return found
 
 
@@ -120,7 +123,7 @@ def _judged(
     if not rows:
         return None
     controls = [other["controls"] for _, other in rows]
-    looks = [objects[at]["slots"] for at, _ in rows]
+    looks = [only_found(objects[at]["slots"]) for at, _ in rows]
     found = search.aligned(controls, looks, np.stack([other["pose"] for _, other in rows]), FINE, const.POINTS_MAX)
     if found is None:
         return None

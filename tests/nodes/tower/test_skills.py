@@ -15,6 +15,8 @@ from hierax.nodes.tower.skills import (
     OPEN,
     OVER,
     REST,
+    VIEW_S,
+    VIEWS,
     SkillsNode,
     gripper_commands,
     held_and_standing,
@@ -40,11 +42,13 @@ class Obedient:
             for number, (x, y) in enumerate([(0.5, 0.0), (0.45, 0.12), (0.42, -0.13)], start=1)
         }
         self.slips = False
+        self.statuses: dict[int, str] = {}
         self.phases: list[str] = []
         self._grips: tuple[int, Any] | None = None
 
     def cube(self, number: int) -> Any:
-        known = {"size": np.full(3, SIDE_M), "covariance": SURE, "status": "tracked"}
+        status = self.statuses.get(number, "tracked")
+        known = {"size": np.full(3, SIDE_M), "covariance": SURE, "status": status}
         return {"id": number, "pose": self.poses[number], **known}
 
     def epoch(self, task: tuple[int, int] | None) -> Any:
@@ -97,6 +101,51 @@ def test_a_cube_is_moved_to_a_free_place_of_the_table() -> None:
     assert abs(place[2] - SIDE_M / 2) < 0.0015
     away = [np.linalg.norm((place - world.poses[other][:3, 3])[:2]) for other in (1, 3)]
     assert min(away) > SIDE_M * 2**0.5
+
+
+def test_what_is_lost_is_looked_for_from_every_side() -> None:
+    world = Obedient()
+    world.statuses[2] = "lost"
+    views = [world.epoch(None)["gripper"] for _ in range(int(len(VIEWS) * (VIEW_S + 0.2) / 0.05))]
+    assert all(any(view is each for view in views) for each in VIEWS)
+    assert held_and_standing(world.belief)[0]["looks"]
+    world.until(OVER, (3, 1))  # it goes from where it is to what is seen
+    world.statuses.clear()
+    world.until(WATCH, None)
+    home = [world.epoch(None)["gripper"] for _ in range(int(2 * VIEW_S / 0.05))]
+    assert all(view is HOME_GRIPPER for view in home[1:])
+
+
+def test_what_cannot_be_done_with_a_cube_in_hand_is_given_up() -> None:
+    """The cube below is never seen: the one in hand comes onto the table, though it is still asked for otherwise."""
+    world = Obedient()
+    world.until(LIFT, (2, 1))
+    world.statuses[1] = "expected"
+    world.until(LOWER, (2, 1))
+    assert world.belief["goal"] == (2, 0)
+    world.until(WATCH, (2, 1))
+    assert abs(world.poses[2][2, 3] - SIDE_M / 2) < 0.0015
+
+
+def test_what_the_cube_in_hand_hides_is_where_it_was_seen_last() -> None:
+    world = Obedient()
+    world.until(CARRY, (2, 1))
+    world.epoch((2, 1))
+    world.statuses[1] = "expected"
+    world.until(OPEN, (2, 1))
+    assert world.belief["goal"] == (2, 1)
+
+
+def test_once_the_cubes_are_where_the_hand_has_left_them() -> None:
+    world = Obedient()
+    world.node = SkillsNode(once=True)
+    world.until(OVER, (2, 1))
+    elsewhere = world.poses[1].copy()
+    world.poses[1] = make_pose(np.eye(3), np.array([0.6, 0.1, SIDE_M / 2]))
+    world.until(OPEN, (2, 1))
+    np.testing.assert_allclose(world.poses[2][:2, 3], elsewhere[:2, 3], atol=0.0015)
+    body = next(body for body in world.belief["bodies"] if body["id"] == 2)
+    np.testing.assert_allclose(body["pose"][:3, 3], world.poses[2][:3, 3], atol=0.0015)
 
 
 def test_which_cube_is_held_is_told_up_and_down() -> None:
