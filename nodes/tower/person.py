@@ -45,6 +45,8 @@ class Stop(NamedTuple):
     dwell_s: float = 0.0  # how long it stays there
     follows: int = 0  # the cube that it comes to; 0: none
     onward: bool = False  # from where the stop before has brought it
+    unless_near: int = 0  # the cube from which it draws back if the gripper comes near; 0: none
+    counts: bool = True  # whether the interference has happened when this, the last stop, is over
 
 
 class Scene(NamedTuple):
@@ -108,6 +110,9 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
         if not belief["stops"]:
             return belief, None
     stop = Stop(**belief["stops"][0])
+    if stop.unless_near and not scene.is_free(stop.unless_near):
+        belief = {**belief, "stops": ({**belief["stops"][-1], "counts": False},), "late_s": 0.0}
+        stop = Stop(**belief["stops"][0])
     belief = _gripping(belief, stop, scene)
     target, there = _advanced(belief["target"], stop, scene, interval_s)
     grip = Grip(stop.grip, belief["holds"]) if belief["holds"] is not None else None
@@ -127,7 +132,7 @@ def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:
     if left and left[0]["onward"]:
         left = ({**left[0], "to": left[0]["to"] + belief["target"][:3, 3], "onward": False}, *left[1:])
     after = {**belief, "stops": left, "late_s": 0.0}
-    return after if left else {**after, "holds": None, "done": belief["done"] + 1, "pause_s": None}
+    return after if left else {**after, "holds": None, "done": belief["done"] + stop.counts, "pause_s": None}
 
 
 def obstacles(belief: Value) -> tuple[Mapping[str, Any], ...]:
@@ -240,8 +245,8 @@ def _carried(scene: Scene, number: int, place: Floats, yaw: float = 0.0) -> list
     top = max(each["pose"][2, 3] + each["side_m"] for each in scene.bodies.values())
     clear = [np.array([*at[:2], max(at[2], top + body["side_m"]) + 0.06]) for at in (taken, left)]
     return [
-        Stop(_over(taken)),
-        Stop(taken, 0.2),
+        Stop(_over(taken), unless_near=number),
+        Stop(taken, 0.2, unless_near=number),
         Stop(clear[0], 0.3, number),
         Stop(clear[1], FAST_M_S, number, yaw),
         Stop(_over(left, 0.001), 0.15, number, yaw, 0.2),
@@ -258,8 +263,8 @@ def _swept(scene: Scene, number: int, speed: float) -> list[Stop]:
     reach = body["side_m"] / 2 * float(np.abs(body["pose"][1, :3]).sum()) + GUEST_HALF_M[1]
     before, after = (middle + np.array([0.0, side * off, 0.0]) for off in (reach + 0.06, reach - _PUSHED_M))
     return [
-        Stop(_over(before, 0.15)),
-        Stop(before, 0.3),
+        Stop(_over(before, 0.15), unless_near=number),
+        Stop(before, 0.3, unless_near=number),
         Stop(after, speed),
         Stop(before, 0.3),
         Stop(_over(before, 0.15)),
@@ -296,7 +301,8 @@ def _remove(scene: Scene) -> list[Stop] | None:
     taken, left = _upon(body), _upon(body, place)
     away = _HOME_M * (1.0, np.sign(taken[1]) or 1.0, 1.0)
     return [
-        *(Stop(_over(taken)), Stop(taken, 0.2), Stop(_over(taken, 0.2), 0.3, number)),
+        *(Stop(_over(taken), unless_near=number), Stop(taken, 0.2, unless_near=number)),
+        Stop(_over(taken, 0.2), 0.3, number),
         Stop(away, FAST_M_S, number, dwell_s=float(scene.rng.uniform(*AWAY_S))),
         *(Stop(_over(left, 0.2), FAST_M_S, number), Stop(_over(left, 0.001), 0.15, number, dwell_s=0.2)),
         Stop(_over(left), 0.2),

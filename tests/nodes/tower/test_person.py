@@ -131,6 +131,20 @@ def test_the_cube_in_the_arms_hand_is_taken_out_of_it_and_laid_down() -> None:
     assert belief["fingers"].sum() < 0.01
 
 
+def test_a_hand_draws_back_where_the_gripper_comes_and_tries_again() -> None:
+    world, belief = begun("move")
+    cube = belief["bodies"][3]["pose"]
+    near = gripper_down(cube[:3, 3] + (0.0, 0.0, 0.10))
+    while not belief["person"]["stops"]:
+        belief = world.predict((), REST, belief, Tick(seed=1))
+    for _ in range(90):
+        belief = world.predict((), (command(near, WIDEST_M, 2.0),), belief, Tick(seed=1))
+    assert not belief["person"]["stops"]
+    assert belief["person"]["done"] == 0
+    assert np.linalg.norm(belief["bodies"][3]["pose"][:3, 3] - cube[:3, 3]) < 0.003
+    assert moved(moves_m(until_done(world, belief)))
+
+
 def test_several_happen_one_after_the_other() -> None:
     """A cube that is removed is out of the camera's sight for seconds, and comes back elsewhere."""
     world, belief = begun(["push", "none", "remove"])
