@@ -43,6 +43,17 @@ class Builder(Node):
         """Nothing is known yet, and nothing is to be done."""
         return {"symbols": NOTHING._asdict(), **Wish("look")._asdict(), **NO_PLAN._asdict()}
 
+    def take_over(self, belief: Value) -> Value:
+        """The belief of whichever builder was there before. Its maps by symbol have other keys from scene to scene.
+
+        Raises ValueError: it is no builder's belief."""
+        known = self.initial_belief()
+        given = {**belief, "symbols": known["symbols"]} if isinstance(belief, dict) and "symbols" in belief else belief
+        super().take_over(given)
+        if belief["symbols"].keys() != known["symbols"].keys():
+            raise ValueError(f"belief.symbols: expected the keys {sorted(known['symbols'])}")
+        return belief
+
     def observe(self, observations: Elements, belief: Value) -> Value:
         """τ: symbols of the scene and the skill as `hierax.nodes.tower.skills.scene_and_skill` tells them, and what is
         wished for by them."""

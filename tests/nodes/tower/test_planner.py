@@ -6,6 +6,7 @@ import random
 from itertools import permutations
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ from hierax.nodes.tower.builder import Builder, TeleoReactive, builder
 from hierax.nodes.tower.planner import HAND, LOOK, UNKNOWN, Blocks, OpenLoop, Planner, planned
 from hierax.nodes.tower.rules import TABLE, Step
 from hierax.nodes.tower.symbols import Symbols
+from hierax.nodes.tracking.math.geometry import make_pose
 
 CUBES = 4
 SETTINGS = settings(deadline=None, derandomize=True)
@@ -143,6 +145,12 @@ def test_open_loop_goes_by_what_the_hand_says_alone() -> None:
     assert played.sees(FLAT, (3, 2), RETREAT)[0] == "done"
 
 
+def item(number: int) -> dict[str, Any]:
+    """A cube on the table."""
+    pose = make_pose(np.eye(3), np.array([0.4 + 0.1 * number, 0.0, 0.025]))
+    return {"id": number, "pose": pose, "size": np.full(3, 0.05), "covariance": 1e-6 * np.eye(6), "status": "tracked"}
+
+
 def test_builders_take_one_another_s_place() -> None:
     """With a belief of another one, each goes on with what holds."""
     reactive, planner = Played(TeleoReactive([1, 2, 3], 3)), Played(Planner([1, 2, 3], 3))
@@ -152,6 +160,12 @@ def test_builders_take_one_another_s_place() -> None:
     reactive.belief = planner.belief
     assert reactive.sees({**FLAT, 2: 1})[1:] == (3, 2)
     assert reactive.belief["plan"] == ()
+    told = reactive.node.observe((item(1), item(2), item(3), {"skill": seen(FLAT)["skill"]}), reactive.belief)
+    assert told["symbols"]["certainty"]
+    assert planner.node.take_over(told) == told
+    for wrong in ({}, {**told, "symbols": {}}, {**told, "rule": 1}, 3):
+        with pytest.raises(ValueError, match="belief"):
+            planner.node.take_over(wrong)
 
 
 def test_builders_by_name() -> None:
