@@ -1,6 +1,6 @@
 """The spatial node below one that reasons: what was put somewhere, and is not seen, stays there."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,11 +9,14 @@ from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.tracker import PickSpatial, first_bodies
 from hierax.nodes.tracking.estimation.tracked import diagonal_covariance
 from hierax.nodes.tracking.math.geometry import Floats
-from hierax.nodes.tracking.schema import EXPECTED, TRACKED
+from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
 from hierax.runtime import Elements, Value
 
 # How well it is known, in each axis, where something stands that was put there, and is not seen just now.
 STANDS_M, STANDS_RAD = 0.003, np.radians(3.0)
+ODD_M, ODD_EPOCHS = 0.012, 30  # so far off what could carry it, and for so long, a cube cannot be seen to be
+_MIDDLE_M, _REACH_M = np.array([0.5, 0.0]), 0.6  # of the table, in which cubes are looked for
+_DENIED = {"status": LOST, "velocity": np.zeros(6)}
 _STAYS = ("pose", "velocity", "covariance")
 
 
@@ -23,7 +26,15 @@ class TowerSpatial(PickSpatial):
 
     Without that, a cube that the camera has lost carries nothing, so that what stands on it falls in the imagination,
     and is looked for where it is not. And what the camera cannot see from near, while the hand is among the cubes, is
-    looked for everywhere, in vain."""
+    looked for everywhere, in vain.
+
+    And a cube that is seen in the air, or in the table, for longer than somebody may hold it there, is not there: what
+    is seen is another one, nearer or farther. The belief has ``odd``, of each cube for how many epochs that is so."""
+
+    def initial_belief(self) -> Value:
+        """The belief of `PickSpatial`; nothing is odd yet."""
+        known = super().initial_belief()
+        return {**known, "odd": tuple((body["id"], 0) for body in known["bodies"])}
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `PickSpatial`, but that cubes of which it is known that they stand stay where they were, about as well
@@ -34,11 +45,19 @@ class TowerSpatial(PickSpatial):
             for body in belief["bodies"]
             if body["status"] != TRACKED and body["id"] in told["stands"] and body["id"] != told["held"]
         }
-        bodies = tuple(kept.get(body["id"], body) for body in belief["bodies"])
+        odd = {
+            number: (count + 1) * told["looks"] * (number != told["held"] and _is_odd(number, belief["bodies"]))
+            for number, count in belief["odd"]
+        }
+        bodies = tuple(
+            {**kept.get(body["id"], body), **(_DENIED if odd[body["id"]] > ODD_EPOCHS else {})}
+            for body in belief["bodies"]
+        )
         after = super().predict(context, actions, {**belief, "bodies": bodies})
         said = {body["id"]: body["status"] for body in belief["bodies"]}
         return {
             **after,
+            "odd": tuple(odd.items()),
             "sweeping": after["sweeping"] if told["looks"] else (),
             "bodies": tuple(
                 {
@@ -51,6 +70,36 @@ class TowerSpatial(PickSpatial):
                 for body in after["bodies"]
             ),
         }
+
+
+def _is_odd(number: int, bodies: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a cube is seen where nothing carries it or it cannot be, or is expected beyond all that is looked at."""
+    feet = {body["id"]: _foot_and_top(body) for body in bodies if body["status"] != LOST}
+    body = next(body for body in bodies if body["id"] == number)
+    if body["status"] != TRACKED:
+        return body["status"] != LOST and bool(np.linalg.norm(body["pose"][:2, 3] - _MIDDLE_M) > _REACH_M)
+    foot = feet[number][0]
+    if abs(foot) < ODD_M:
+        return False
+    near = [
+        feet[other["id"]][1]
+        for other in bodies
+        if other["id"] in feet and other["id"] != number and _beside_m(body, other) < _extent_m(other)
+    ]
+    return foot < 0.0 or not any(abs(foot - top) < ODD_M for top in near)
+
+
+def _foot_and_top(body: Mapping[str, Any]) -> tuple[float, float]:
+    heights = body["model"]["vertices"] @ body["pose"][2, :3] + body["pose"][2, 3]
+    return float(heights.min()), float(heights.max())
+
+
+def _beside_m(body: Mapping[str, Any], other: Mapping[str, Any]) -> float:
+    return float(np.linalg.norm(body["pose"][:2, 3] - other["pose"][:2, 3]))
+
+
+def _extent_m(body: Mapping[str, Any]) -> float:
+    return float(np.ptp(body["model"]["vertices"], axis=0).max())
 
 
 def _bounded(body: Mapping[str, Any]) -> Floats:

@@ -92,12 +92,13 @@ def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
 
 def imagined(item: schema.TrackedObject, expected: schema.ExpectedObject, camera: Floats) -> schema.TrackedObject:
     """One object's prediction and its visible edges, by its entry in the context and world_from_camera. One that was
-    lost is expected again where who knows more than the image says so."""
+    lost is expected again, and one that is tracked is lost, where who knows more than the image says so."""
     controls = bent(expected["controls"], item["slots"])
+    denied = expected["status"] == schema.LOST
     again = item["status"] == schema.LOST and expected["status"] == schema.EXPECTED
     return {
         **item,
-        "status": schema.EXPECTED if again else item["status"],
+        "status": schema.EXPECTED if again else schema.LOST if denied else item["status"],
         "misses": 0 if again else item["misses"],
         **schema.looking_alike(expected),
         "before": item["pose"],
