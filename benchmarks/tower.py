@@ -24,15 +24,15 @@ import sys
 from typing import Any
 
 import numpy as np
-import yaml
 
 from hierax.nodes.picking.layout import planned
 from hierax.nodes.tower.builder import REACTIVE
 from hierax.nodes.tower.goals import Towers, read_towers
-from hierax.nodes.tower.person import ACTS
+from hierax.nodes.tower.interferences import ACTS
 from hierax.nodes.tower.rules import TABLE, wish_of
 from hierax.nodes.tower.symbols import Symbols
 from hierax.nodes.tower.world import NONE
+from hierax.runtime.deployment.tree import read_tree
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 CUBES, TOWER = 4, "[1, 3, 4, 2]"
@@ -72,8 +72,8 @@ def cell(scenes: range, command: str, given: dict[str, str], person: str) -> int
     print(f"\nbuilder {given['builder']}, person {person}")
     heads = ("scene", 5), ("done", 5), ("placed, mm", 11), ("moves", 6), ("least", 6), ("acts", 5), ("frames", 7)
     print(*(f"{head:>{width}}" for head, width in (*heads, ("epochs/s", 9))), " digest", flush=True)
-    cubes, tower = yaml.safe_load(given["cubes"]), yaml.safe_load(given["tower"])
-    towers = read_towers(_as_read(tower), cubes)
+    cubes, tower = (read_tree(given[name], name).value for name in ("cubes", "tower"))
+    towers = read_towers(tower, cubes)
     failed, placed_mm, more, frames = 0, [], [], []
     for scene in scenes:
         acts = drawn(scene) if person == RANDOM else [person]
@@ -111,13 +111,6 @@ def episode(scene: int, command: str, given: dict[str, str]) -> dict[str, Any]:
     if done.returncode:
         raise SystemExit(f"scene {scene}: {done.stderr.strip()}")
     return dict(json.loads(done.stdout))
-
-
-def _as_read(tower: Any) -> Any:
-    """A tower of YAML as a deployment file has it, where keys are text."""
-    if isinstance(tower, dict):
-        return {str(key): value for key, value in tower.items()}
-    return [_as_read(each) for each in tower] if isinstance(tower, list) else tower
 
 
 def least_moves(scene: int, cubes: int, towers: Towers) -> int:

@@ -9,8 +9,8 @@ from hierax.nodes.picking.panda import JOINTS
 from hierax.nodes.picking.workcell import FINGERS, panda_file
 from hierax.nodes.sources.images import write_picture
 from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet
-from hierax.nodes.tracking.imagery.physics import Bullet
-from hierax.nodes.tracking.math.geometry import Array, Floats, Size, quaternion_of
+from hierax.nodes.tracking.imagery.physics import Bullet, place_of
+from hierax.nodes.tracking.math.geometry import Array, Size
 from hierax.runtime import Probe, Step, Value
 
 VIEWS_FOLDER = "views"
@@ -41,11 +41,11 @@ class SceneView:
         for body in belief["bodies"]:
             if body["id"] not in self._cubes:
                 self._cubes[body["id"]] = self._box([body["side_m"] / 2] * 3, body["colour"], (0.0, 0.0, 0.0))
-            bullet.resetBasePositionAndOrientation(self._cubes[body["id"]], *_place_of(body["pose"]))
+            bullet.resetBasePositionAndOrientation(self._cubes[body["id"]], *place_of(body["pose"]))
         for obstacle in self._obstacles:
             bullet.removeBody(obstacle)
         self._obstacles = [
-            self._box([side / 2 for side in each["size"]], each["colour"], *_place_of(each["pose"]))
+            self._box([side / 2 for side in each["size"]], each["colour"], *place_of(each["pose"]))
             for each in belief.get("obstacles", ())
         ]
         width, height = size
@@ -70,10 +70,6 @@ class SceneView:
         rgba = [part / 255.0 for part in colour] + [1.0]
         shape = self._bullet.createVisualShape(self._bullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba)
         return int(self._bullet.createMultiBody(0, -1, shape, basePosition=place, baseOrientation=turn))
-
-
-def _place_of(pose: Floats) -> tuple[list[float], list[float]]:
-    return pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
 
 
 class Views(Probe):

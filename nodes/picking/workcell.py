@@ -21,8 +21,8 @@ import pybullet_data
 
 from hierax.nodes.picking.panda import JOINTS, TORQUES_NM
 from hierax.nodes.sources.files import DataError
-from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, pose_of, prepare
-from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose, quaternion_of
+from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, place_of, pose_of, prepare
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 
 STEP_HZ = 240
 STEP_S = 1.0 / STEP_HZ
@@ -161,11 +161,11 @@ class Workcell:
         hand = create_body(bullet, shape, GUEST_KG, GUEST_FRICTION, guest.pose)
         bullet.resetBaseVelocity(hand, guest.velocity[:3].tolist(), guest.velocity[3:].tolist())
         origin = [0.0, 0.0, 0.0]
-        place, turn = _place_of(guest.start)
+        place, turn = place_of(guest.start)
         towards = int(bullet.createConstraint(hand, -1, -1, -1, bullet.JOINT_FIXED, origin, origin, place, None, turn))
         if guest.grip is not None:
             cube = cubes[guest.grip.cube - 1]
-            place, turn = _place_of(guest.grip.holds)
+            place, turn = place_of(guest.grip.holds)
             fixed = bullet.createConstraint(hand, -1, cube, -1, bullet.JOINT_FIXED, origin, place, origin, turn)
             bullet.changeConstraint(fixed, maxForce=GUEST_GRIP_N)
             bullet.setCollisionFilterPair(hand, cube, -1, -1, 0)
@@ -174,9 +174,7 @@ class Workcell:
     def _draw_guest(self, hand: tuple[int, int], guest: Guest, part: float) -> None:
         way = guest.end[:3, 3] - guest.start[:3, 3]
         turn = log_so3(guest.end[:3, :3] @ guest.start[:3, :3].T)
-        place, turned = _place_of(
-            make_pose(exp_so3(part * turn) @ guest.start[:3, :3], guest.start[:3, 3] + part * way)
-        )
+        place, turned = place_of(make_pose(exp_so3(part * turn) @ guest.start[:3, :3], guest.start[:3, 3] + part * way))
         self.bullet.changeConstraint(hand[1], place, turned, maxForce=GUEST_N)
 
     def _read_guest(self, hand: tuple[int, int], guest: Guest) -> Guest:
@@ -218,11 +216,6 @@ class Workcell:
         parts = {link for body, link in pressed if body == robot}
         others = any(body != robot for body, _ in pressed)
         return Touch(parts.issuperset(FINGERS), others or bool(parts.difference(FINGERS)))
-
-
-def _place_of(pose: Floats) -> tuple[list[float], list[float]]:
-    """Position and quaternion of a pose, as pybullet has them."""
-    return pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
 
 
 def panda_file() -> Path:

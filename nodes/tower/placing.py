@@ -27,9 +27,8 @@ def place_on(
 
     Args: held, lower: two of the bodies, as `hierax.nodes.picking.tracker.scene_known` tells them; bodies: all.
         box_from_gripper: how the box is held; width_m: between the fingers."""
-    along = _yaw(lower["pose"]) - _yaw(held["pose"])
-    least = (along + np.pi / 4) % (np.pi / 2) - np.pi / 4
-    middle = lower["pose"][:3, 3] + [0.0, 0.0, _half_height(lower) + _half_height(held) + GAP_M]
+    least = least_turn(held["pose"], lower["pose"])
+    middle = lower["pose"][:3, 3] + [0.0, 0.0, half_height(lower) + half_height(held) + GAP_M]
     others = [body for body in bodies if body is not held]
     for quarter in _QUARTERS:
         pose = _turned(held["pose"], least + quarter, middle)
@@ -44,7 +43,7 @@ def place_on_table(held: Body, bodies: Sequence[Body], box_from_gripper: Floats,
     others = [body for body in bodies if body is not held]
     circles = [(body["pose"][:2, 3], float(np.linalg.norm(body["size"][:2]))) for body in others]
     for spot in free_spots(circles, float(np.linalg.norm(held["size"][:2])), held["pose"][:2, 3]):
-        pose = _turned(held["pose"], 0.0, np.array([*spot, _half_height(held) + GAP_M]))
+        pose = _turned(held["pose"], 0.0, np.array([*spot, half_height(held) + GAP_M]))
         found = _fits(pose @ box_from_gripper, others, width_m)
         if found is not None:
             return found
@@ -60,15 +59,15 @@ def free_spots(circles: Sequence[tuple[Floats, float]], width_m: float, near: Fl
     gaps = [np.linalg.norm(spots - middle, axis=1) - (other_m + width_m) / 2 for middle, other_m in circles]
     gap = np.min(gaps, axis=0) if gaps else np.full(len(spots), np.inf)
     away = np.zeros(len(spots)) if near is None else np.linalg.norm(spots - near, axis=1)
-    order = np.argsort(away, kind="stable")
-    room = np.searchsorted(sorted(ROOMS_M), gap[order])
-    order = order[np.argsort(-room, kind="stable")]
-    return np.asarray(spots[order[np.sort(-room, kind="stable") < 0]])
+    nearest = np.argsort(away, kind="stable")
+    room = np.searchsorted(sorted(ROOMS_M), gap[nearest])
+    order = np.argsort(-room, kind="stable")
+    return np.asarray(spots[nearest[order]][room[order] > 0])
 
 
 def top_of(bodies: Sequence[Body]) -> float:
     """How high the highest of some bodies is, m; 0 of none."""
-    return max((float(body["pose"][2, 3]) + _half_height(body) for body in bodies), default=0.0)
+    return max((float(body["pose"][2, 3]) + half_height(body) for body in bodies), default=0.0)
 
 
 def at_height(gripper: Floats, height_m: float) -> Floats:
@@ -96,11 +95,17 @@ def _turned(pose: Floats, angle: float, middle: Floats) -> Floats:
     return make_pose(exp_so3(np.array([0.0, 0.0, angle])) @ pose[:3, :3], middle)
 
 
+def least_turn(pose: Floats, other: Floats) -> float:
+    """By how much a box is turned at least about the vertical, so that its sides are along another one's; rad."""
+    return (_yaw(other) - _yaw(pose) + np.pi / 4) % (np.pi / 2) - np.pi / 4
+
+
 def _yaw(pose: Floats) -> float:
     """How a box is turned about the vertical: the angle of that of its axes that is the most level."""
     axis = pose[:3, int(np.abs(pose[2, :3]).argmin())]
     return float(np.arctan2(axis[1], axis[0]))
 
 
-def _half_height(body: Body) -> float:
+def half_height(body: Body) -> float:
+    """Half of how high a box is as it lies, m."""
     return 0.5 * float(np.abs(body["pose"][2, :3]) @ body["size"])

@@ -46,7 +46,10 @@ def height_of(tower: tuple[int, ...], symbols: Symbols) -> int:
 
 def is_done(tower: Tower, symbols: Symbols) -> bool:
     """Whether a tower stands, with nothing on it."""
-    order = order_of(tower, symbols)
+    return _stands(order_of(tower, symbols), symbols)
+
+
+def _stands(order: tuple[int, ...], symbols: Symbols) -> bool:
     return height_of(order, symbols) == len(order) and symbols.is_clear(order[-1])
 
 
@@ -69,8 +72,9 @@ def _left(order: tuple[int, ...], symbols: Symbols) -> tuple[int, bool, int]:
 def wish_of(towers: Towers, symbols: Symbols) -> Wish:
     """What the first rule that fits asks for."""
     for tower in towers:
-        if not is_done(tower, symbols):
-            return _make(order_of(tower, symbols), symbols)
+        order = order_of(tower, symbols)
+        if not _stands(order, symbols):
+            return _make(order, symbols)
     return Wish("done") if symbols.holding is None else Wish("put away", symbols.holding)
 
 

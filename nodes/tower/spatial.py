@@ -45,10 +45,8 @@ class TowerSpatial(PickSpatial):
             for body in belief["bodies"]
             if body["status"] != TRACKED and body["id"] in told["stands"] and body["id"] != told["held"]
         }
-        odd = {
-            number: (count + 1) * told["looks"] * (number != told["held"] and _is_odd(number, belief["bodies"]))
-            for number, count in belief["odd"]
-        }
+        now = _odd(belief["bodies"]) - {told["held"]} if told["looks"] else set()
+        odd = {number: count + 1 if number in now else 0 for number, count in belief["odd"]}
         bodies = tuple(
             {**kept.get(body["id"], body), **(_DENIED if odd[body["id"]] > ODD_EPOCHS else {})}
             for body in belief["bodies"]
@@ -72,21 +70,25 @@ class TowerSpatial(PickSpatial):
         }
 
 
-def _is_odd(number: int, bodies: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a cube is seen where nothing carries it or it cannot be, or is expected beyond all that is looked at."""
-    feet = {body["id"]: _foot_and_top(body) for body in bodies if body["status"] != LOST}
-    body = next(body for body in bodies if body["id"] == number)
+def _odd(bodies: Sequence[Mapping[str, Any]]) -> set[int]:
+    """Cubes that are seen where nothing carries them or they cannot be, or expected beyond all that is looked at."""
+    known = {body["id"]: (body, *_foot_and_top(body)) for body in bodies if body["status"] != LOST}
+    return {number for number in known if _is_odd(number, known)}
+
+
+def _is_odd(number: int, known: Mapping[int, tuple[Mapping[str, Any], float, float]]) -> bool:
+    """Likewise of one, by those that are not lost, each with how high its foot and its top are, m."""
+    body, foot, _ = known[number]
     if body["status"] != TRACKED:
-        return body["status"] != LOST and bool(np.linalg.norm(body["pose"][:2, 3] - _MIDDLE_M) > _REACH_M)
-    foot = feet[number][0]
+        return bool(np.linalg.norm(body["pose"][:2, 3] - _MIDDLE_M) > _REACH_M)
     if abs(foot) < ODD_M:
         return False
-    near = [
-        feet[other["id"]][1]
-        for other in bodies
-        if other["id"] in feet and other["id"] != number and _beside_m(body, other) < _extent_m(other)
-    ]
-    return foot < 0.0 or not any(abs(foot - top) < ODD_M for top in near)
+    carried = any(
+        abs(foot - top) < ODD_M and _beside_m(body, other) < _extent_m(other)
+        for other, _, top in known.values()
+        if other is not body
+    )
+    return foot < 0.0 or not carried
 
 
 def _foot_and_top(body: Mapping[str, Any]) -> tuple[float, float]:

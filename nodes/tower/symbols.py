@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tower.placing import half_height
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.schema import LOST, TRACKED
 
@@ -98,7 +99,7 @@ def chance_on(upper: Mapping[str, Any], lower: Mapping[str, Any]) -> float:
     """The probability that a box rests on another one: its middle over it, its foot on its top."""
     away = upper["pose"][:3, 3] - lower["pose"][:3, 3]
     deviations = _deviations(upper, lower)
-    height = _half_height(upper) + _half_height(lower)
+    height = half_height(upper) + half_height(lower)
     reach = 0.5 * float(min(lower["size"]))
     sides = [_within(float(away[axis]), reach, deviations[axis]) for axis in (0, 1)]
     return math.prod(sides) * _within(float(away[2]) - height, GAP_M, deviations[2])
@@ -106,12 +107,8 @@ def chance_on(upper: Mapping[str, Any], lower: Mapping[str, Any]) -> float:
 
 def chance_on_table(body: Mapping[str, Any]) -> float:
     """The probability that a box rests on the table, z = 0."""
-    height = float(body["pose"][2, 3]) - _half_height(body)
+    height = float(body["pose"][2, 3]) - half_height(body)
     return _within(height, GAP_M, _deviations(body)[2])
-
-
-def _half_height(body: Mapping[str, Any]) -> float:
-    return 0.5 * float(np.abs(body["pose"][2, :3]) @ body["size"])
 
 
 def _deviations(*bodies: Mapping[str, Any]) -> Floats:

@@ -9,17 +9,8 @@ import numpy as np
 from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.world import PickWorld
 from hierax.nodes.tower.goals import Tower, orders_of, read_towers
-from hierax.nodes.tower.person import (
-    ACTS,
-    NOBODY,
-    Scene,
-    acted,
-    can_begin,
-    generator,
-    moved,
-    obstacles,
-    scene_of,
-)
+from hierax.nodes.tower.interferences import ACTS, Scene
+from hierax.nodes.tower.person import NOBODY, acted, can_begin, generator, moved, obstacles, scene_of
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 NONE = "none"  # in place of what a person does: nobody is there
@@ -40,8 +31,8 @@ class TowerWorld(PickWorld):
     consists in pictures.
 
     Args: tower: as `hierax.nodes.tower.goals.read_towers` has it; person: what somebody does to the towers, one of
-        `hierax.nodes.tower.person.ACTS`, or several, one after the other; ``none``: nothing; scene, cubes, frames,
-        options: as `PickWorld` has them.
+        `hierax.nodes.tower.interferences.ACTS`, or several, one after the other; ``none``: nothing; scene, cubes,
+        frames, options: as `PickWorld` has them.
     Raises ValueError: the tower cannot be built of these cubes, or nobody does such a thing."""
 
     def __init__(
@@ -62,8 +53,9 @@ class TowerWorld(PickWorld):
 
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """γ of `PickWorld` with a person, and what has come of it."""
-        scene = self._seen(belief, tick.seed)
-        person, guest = acted(belief["person"], scene, self._acts, 1.0 / self._fps)
+        person, guest = belief["person"], None
+        if person["done"] < len(self._acts):
+            person, guest = acted(person, self._seen(belief, tick.seed), self._acts, 1.0 / self._fps)
         after, left = self.advanced(actions, belief, guest)
         person = person if left is None else moved(person, left.pose, left.velocity)
         return {**self._counted(belief, after), "person": person, "obstacles": obstacles(person)}
@@ -81,7 +73,7 @@ class TowerWorld(PickWorld):
             elif not _is_near_hand(body, after):
                 raised.discard(number)
                 rests[str(number)] = height
-        stands = self._stands(after) and not raised
+        stands = self._all_built(after) and not raised
         done_s = belief["done_s"] + 1.0 / self._fps if stands else 0.0
         counted = {"actions": belief["actions"] + begun, "raised": tuple(sorted(raised)), "rests": rests}
         return {**after, **counted, "done_s": done_s}
@@ -91,7 +83,8 @@ class TowerWorld(PickWorld):
         over."""
         if belief["frame"] >= self._frames or belief["done_s"] < DONE_S - 1e-9:
             return bool(belief["frame"] >= self._frames)
-        return not can_begin(belief["person"], self._seen(belief, 0), self._acts)
+        is_over = belief["person"]["done"] >= len(self._acts)
+        return is_over or not can_begin(belief["person"], self._seen(belief, 0), self._acts)
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """By the truth: how many towers stand, how far the middle of a cube in them is beside that of the one below at
@@ -110,19 +103,14 @@ class TowerWorld(PickWorld):
     def _seen(self, belief: Value, seed: int) -> Scene:
         """What the person sees."""
         bodies = {body["id"]: body for body in belief["bodies"]}
-        orders = [order for tower in self._towers if _order_built(tower, bodies) is None for order in orders_of(tower)]
-        heights = [_height_of(order, bodies) for order in orders]
-        best = int(np.argmax(heights)) if heights else None
-        order, height = (orders[best], heights[best]) if best is not None else self._built(bodies)
+        built = [_order_built(tower, bodies) for tower in self._towers]
+        left = [tower for tower, order in zip(self._towers, built, strict=True) if order is None]
+        orders = [order for tower in left for order in orders_of(tower)] or [built[-1] or ()]  # all stand: the last one
+        order = max(orders, key=lambda order: _height_of(order, bodies))
         drawn = generator(seed, self._scene, belief["person"]["done"])
-        return scene_of(belief, order, height, drawn)
+        return scene_of(belief, order, _height_of(order, bodies), drawn)
 
-    def _built(self, bodies: Mapping[int, Mapping[str, Any]]) -> tuple[tuple[int, ...], int]:
-        """The last tower, where all stand."""
-        order = _order_built(self._towers[-1], bodies) or ()
-        return order, len(order)
-
-    def _stands(self, belief: Value) -> bool:
+    def _all_built(self, belief: Value) -> bool:
         bodies = {body["id"]: body for body in belief["bodies"]}
         return all(_order_built(tower, bodies) is not None for tower in self._towers)
 

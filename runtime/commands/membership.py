@@ -170,13 +170,13 @@ def deployment_at(launch: Meant, file: str | None) -> "Deployment":
 
     said = _ask(launch, {"ask": "ps"})
     named, settings = said.get("file"), said.get("settings")
-    if not isinstance(named, str) or not isinstance(settings, (list, tuple)) or not all(map(_is_text, settings)):
+    if (
+        not isinstance(named, str)
+        or not isinstance(settings, (list, tuple))
+        or not all(isinstance(each, str) for each in settings)
+    ):
         raise CommandError(f"the launch at {launch.endpoint} does not say which deployment file it has")
     return read_deployment(file or named, settings)
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
 
 
 def _status(launch: Meant) -> dict[str, Any]:

@@ -183,10 +183,14 @@ def hull_shape(bullet: Bullet, vertices: Floats) -> int:
 
 def create_body(bullet: Bullet, shape: int, mass: float, friction: float, pose: Floats) -> int:
     """The handle of a new body (kg; Coulomb's coefficient) whose centre of mass is at a pose; it does not bounce."""
-    place = pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
-    handle = int(bullet.createMultiBody(mass, shape, -1, *place))
+    handle = int(bullet.createMultiBody(mass, shape, -1, *place_of(pose)))
     bullet.changeDynamics(handle, -1, lateralFriction=friction, restitution=0.0)
     return handle
+
+
+def place_of(pose: Floats) -> tuple[list[float], list[float]]:
+    """Position and quaternion of a pose, as pybullet has them."""
+    return pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
 
 
 def pose_of(bullet: Bullet, handle: int) -> Floats:

@@ -11,7 +11,7 @@ import pytest
 from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M, gripper_down
 from hierax.nodes.picking.world import picture_and_hand_seen
-from hierax.nodes.tower.person import ACTS
+from hierax.nodes.tower.interferences import ACTS
 from hierax.nodes.tower.world import TowerWorld
 from hierax.runtime.core.node import Tick
 from hierax.schemas.values import decode_value, encode_value
