@@ -7,6 +7,7 @@
     python benchmarks/kills.py supervisor --times 5
     python benchmarks/kills.py first --first 200
     python benchmarks/kills.py stopped --stopped 100
+    python benchmarks/kills.py rates --rated 200
 
 instants    each process kills itself at each named instant, `--times` times in one launch
 random      processes are killed from outside, whenever and whichever it is
@@ -14,6 +15,7 @@ stops       a process is stopped (SIGSTOP) past the deadline of the epoch
 supervisor  the supervisor is killed, and the run resumed
 first       processes are killed from their first instant on, in servo, causal-tree and tracking
 stopped     processes, the supervisor's too, are stopped for 0.1 to 5 s and go on, likewise
+rates       processes are killed at random in deployments whose nodes have rates and delays
 
 The deployment is deploy/tracking.yaml, simulated; its world has, but for `random`, a device
 beside it, which logs the epochs in which it acts. Cost of a kill: how much later the next
@@ -42,6 +44,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from links import kill_at_first, stop_and_go  # noqa: E402
+from rated import kill_with_rates  # noqa: E402
 from support.device_cubes import LOG  # noqa: E402
 from support.device_nodes import acts  # noqa: E402
 from support.faults import written  # noqa: E402
@@ -72,6 +75,7 @@ def main() -> int:
         "supervisor": kill_supervisors,
         "first": kill_at_first,
         "stopped": stop_and_go,
+        "rates": kill_with_rates,
     }
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", nargs="*", choices=[*parts, []], metavar="PART")
@@ -79,6 +83,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=100, help="at random")
     parser.add_argument("--first", type=int, default=200, help="kills in first instants")
     parser.add_argument("--stopped", type=int, default=100, help="stops after which processes go on")
+    parser.add_argument("--rated", type=int, default=200, help="kills where nodes have rates and delays")
     parser.add_argument("--seed", type=int, default=1, help="of what happens when at random")
     options = parser.parse_args()
     faults = []

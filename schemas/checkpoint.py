@@ -2,9 +2,9 @@
 
 Both records are one msgpack array that any msgpack library reads, a format number in front::
 
-    [format, epoch, attempt, instance, roster, finished, start, now]
+    [format, epoch, attempt, instance, roster, finished, start, now, under_way]
     [format, epoch, attempt, instance, roster, highest_version, last_digest, state,
-     intended, acted, processes, last_attempt, trial, alone]
+     intended, acted, processes, last_attempt, trial, alone, under_way]
 
 Roster and states are in them as bytes, each one encoded value: as they are at hand
 encoded, a record takes about a microsecond."""
@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.messages import DIGEST_BYTES, TYPE_NAMES
+from hierax.schemas.messages import DIGEST_BYTES, TYPE_NAMES, Message, decode_message
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import PACKERS, Value, decode_value, encode_value, fits, pack
 
-FORMAT = 1
+FORMAT = 2
 
 _MAX_WHOLE = (1 << 64) - 1
 
@@ -32,6 +32,7 @@ class Checkpoint(NamedTuple):
     finished: bool  # whether `now` is the state after the epoch's prediction
     start: bytes  # the state at the epoch's start, encoded as [belief, policy, actions]
     now: bytes  # the state now, likewise
+    under_way: bytes = b""  # of a node with rates, as `encode_under_way` has it; empty at others
 
 
 class WorldRecord(NamedTuple):
@@ -55,6 +56,7 @@ class WorldRecord(NamedTuple):
     # and whether that node fails alone; empty: there is none.
     trial: bytes = b""
     alone: bytes = b""  # the encoded array of the names of all nodes that fail alone; empty: unknown
+    under_way: bytes = b""  # as a `Checkpoint` has it
 
 
 _CHECKPOINT: dict[str, type] = {"format": int, **get_type_hints(Checkpoint)}
@@ -64,18 +66,18 @@ _CHECKPOINT_NAMES, _WORLD_NAMES = tuple(_CHECKPOINT), tuple(_WORLD)
 
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
     """The bytes of a node's checkpoint, its states not looked into; `SchemaError` if a field or the size is wrong."""
-    epoch, attempt, instance, roster, finished, start, now = checkpoint
+    epoch, attempt, instance, roster, finished, start, now, under_way = checkpoint
     if not (
         type(epoch) is type(attempt) is type(instance) is type(roster) is int
         and type(finished) is bool
-        and type(start) is type(now) is bytes
+        and type(start) is type(now) is type(under_way) is bytes
         and 0 <= epoch <= _MAX_WHOLE
         and 0 <= attempt <= _MAX_WHOLE
         and 0 <= instance <= _MAX_WHOLE
         and 0 <= roster <= _MAX_WHOLE
     ):
         _check_fields((FORMAT, *checkpoint), _CHECKPOINT, "checkpoint")
-    fields = (FORMAT, epoch, attempt, instance, roster, finished, start, now)
+    fields = (FORMAT, epoch, attempt, instance, roster, finished, start, now, under_way)
     return pack(fields, PACKERS, "checkpoint", _CHECKPOINT_NAMES)
 
 
@@ -86,6 +88,7 @@ def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
     checkpoint = Checkpoint(*fields[1:])
     decode_state(checkpoint.start, "checkpoint.start")
     decode_state(checkpoint.now, "checkpoint.now")
+    decode_under_way(checkpoint.under_way, "checkpoint.under_way")
     return checkpoint
 
 
@@ -110,6 +113,7 @@ def decode_world(data: bytes | memoryview) -> WorldRecord:
     decode_processes(record.processes, "record.processes")
     decode_trial(record.trial, "record.trial")
     decode_alone(record.alone, "record.alone")
+    decode_under_way(record.under_way, "record.under_way")
     return record
 
 
@@ -155,6 +159,24 @@ def decode_trial(data: bytes, where: str = "trial") -> tuple[str, Roster, Place,
     return name, before, place, alone
 
 
+def encode_under_way(sensed: tuple[int, Value] | None, said: Sequence[bytes]) -> bytes:
+    """What a node with rates has beside its states: the epoch under way, where it has sensed and not predicted, and its
+    belief then; and encoded messages that it has sent, which their receivers may lack. Raises `SchemaError` if the
+    belief is no value."""
+    return encode_value((() if sensed is None else sensed, tuple(said)))
+
+
+def decode_under_way(data: bytes, where: str = "under_way") -> tuple[tuple[int, Value] | None, tuple[Message, ...]]:
+    """Read what `encode_under_way` gave. Raises `SchemaError` if the bytes are no such thing."""
+    if not data:
+        return None, ()
+    value = decode_value(data, where)
+    if not fits(value, tuple[Value, tuple[bytes, ...]]) or not (value[0] == () or fits(value[0], tuple[int, Value])):
+        raise SchemaError("expected an array of what was sensed, and of messages", where)
+    sensed, said = value
+    return sensed or None, tuple(map(decode_message, said))
+
+
 def decode_roster(data: bytes, where: str = "roster") -> Roster:
     """The roster of a record. Raises `SchemaError` if the bytes are no encoded roster."""
     value = decode_value(data, where)
@@ -177,13 +199,13 @@ def decode_state(data: bytes, where: str = "state") -> tuple[Value, str, tuple[V
     return belief, policy, actions
 
 
-def read_fields(data: bytes | memoryview, kinds: Mapping[str, type], where: str) -> tuple[Any, ...]:
+def read_fields(data: bytes | memoryview, kinds: Mapping[str, type], where: str, form: int = FORMAT) -> tuple[Any, ...]:
     """The fields of a record, a format number in front, by their types; `SchemaError` says which one is wrong."""
     fields: Any = decode_value(data, where)
     if type(fields) is not tuple or not fields:
         raise SchemaError(f"expected an array of {len(kinds)} fields", where)
-    if type(fields[0]) is not int or fields[0] != FORMAT:
-        raise SchemaError(f"format {shown(fields[0])}; this version reads format {FORMAT}", f"{where}.format")
+    if type(fields[0]) is not int or fields[0] != form:
+        raise SchemaError(f"format {shown(fields[0])}; this version reads format {form}", f"{where}.format")
     if len(fields) != len(kinds):
         raise SchemaError(f"expected an array of {len(kinds)} fields, got {len(fields)}", where)
     _check_fields(fields, kinds, where)

@@ -9,9 +9,11 @@ State, sensed belief and start are in it as bytes, each one encoded value."""
 
 from typing import Any, NamedTuple, get_origin, get_type_hints
 
-from hierax.schemas.checkpoint import FORMAT, read_fields
+from hierax.schemas.checkpoint import read_fields
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import PACKERS, Value, pack
+
+FORMAT = 1
 
 
 class Passage(NamedTuple):
@@ -66,7 +68,7 @@ def encode_step(step: NodeStep) -> bytes:
 
 def decode_step(data: bytes) -> NodeStep:
     """Read a step. Raises `SchemaError` if the bytes are none; says which field and what was expected."""
-    step = NodeStep._make(read_fields(data, _FIELDS, "step")[1:])
+    step = NodeStep._make(read_fields(data, _FIELDS, "step", FORMAT)[1:])
     _check_rows(step.used, _USED, "step.used")
     _check_rows(step.passages, _PASSAGE, "step.passages")
     return step._replace(passages=tuple(Passage(*row) for row in step.passages))

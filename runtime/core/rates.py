@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from hierax.runtime.core.elements import Value
 from hierax.runtime.core.graph import Pair
 
 
@@ -47,9 +48,32 @@ class Rates:
         return self.turns.get(upper, EVERY_EPOCH).last(epoch - self.delays.get((lower, upper), 0))
 
     @property
+    def span(self) -> int:
+        """How many epochs a node may be ahead of another one, at most."""
+        return sum(turns.every for turns in self.turns.values()) + sum(self.delays.values())
+
+    @property
     def first_turns(self) -> int:
         """The epoch by which every node has taken part once."""
         return max((turns.offset or turns.every for turns in self.turns.values()), default=1)
+
+    def plain(self) -> Value:
+        """As a value that `read` reads."""
+        return (
+            [(name, turns.every, turns.offset) for name, turns in self.turns.items()],
+            [(*pair, delay) for pair, delay in self.delays.items()],
+            sorted(self.gathers),
+        )
+
+    @staticmethod
+    def read(value: Value) -> "Rates":
+        """What `plain` gave, after it has travelled."""
+        turns, delays, gathers = value
+        return Rates(
+            {name: Turns(every, offset) for name, every, offset in turns},
+            {(lower, upper): delay for lower, upper, delay in delays},
+            frozenset((lower, upper) for lower, upper in gathers),
+        )
 
 
 NO_RATES = Rates()

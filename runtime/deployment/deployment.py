@@ -285,10 +285,17 @@ class Deployment:
         """Which code may be loaded."""
         return Allowance(self.modules)
 
+    @property
+    def overlaps(self) -> bool:
+        """Whether nodes may be in different epochs."""
+        return bool(self.rates) or not self.staleness.barrier
+
     def refuse_rates(self, whose: str) -> None:
         """Raise `DeploymentError` where the file has rates: `whose` does not know them, and would do something else."""
         if self.rates:
-            raise self.document.error(self.rated_at, f"rates are for 'hierax run' alone; {whose} does not know them")
+            raise self.document.error(
+                self.rated_at, f"rates are for 'run' and 'launch'; {whose} does not know them yet"
+            )
 
     def place(self, where: str) -> str:
         """``file:line`` of a path such as ``nodes.world.class``, or the ``--set`` that gave it."""

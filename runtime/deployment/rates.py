@@ -29,6 +29,9 @@ def rates_of(model: DeploymentModel, document: Document) -> Rates:
     )
     if rates and model.staleness != 0:
         raise document.error(rated_keys(model)[0], "goes with a staleness of 0 only")
+    if rates and model.low_latency:
+        what = "goes without rates only: nodes that do not wait for one another may fill its links"
+        raise document.error(("low_latency",), what)
     return rates
 
 

@@ -43,6 +43,7 @@ class Saved(NamedTuple):
     attempt: int  # likewise
     start: ActiveNode  # its state at the epoch's start
     now: ActiveNode  # its state after it
+    under_way: bytes = b""  # what `Engine.under_way` was then
 
 
 class EngineEffects(ABC):

@@ -30,6 +30,9 @@ from hierax.schemas.values import encode_value
 AFTER = "after"
 """The header's extension of observations: which attempt of the epoch before counts, where that is not the first one."""
 
+DRAIN = "drain"
+"""The header's extension of observations, where epochs overlap: this one does not, at its end every node is done."""
+
 KEPT_ATTEMPTS = 8
 """Of how many attempts of an epoch, which other ones came after, the states at the end are kept until the next one."""
 
@@ -76,6 +79,14 @@ class Engine:
             state = ActiveNode(wiring.node.initial_belief(0, 0.0), wiring.node.node.initial_policy)
             saved = Saved(0, 0, state, state)
         self.restore(saved)
+
+    overlaps = False  # whether a node may be in another epoch than the world
+
+    @property
+    def under_way(self) -> bytes:
+        """What has to be kept beside the states, as `hierax.schemas.checkpoint` has it; nothing, where epochs end for
+        all at once."""
+        return b""
 
     @property
     def is_world(self) -> bool:
@@ -352,13 +363,13 @@ class Engine:
     def _sense(self) -> None:
         self._heard = inbox = self.inbox
         node = self.node
-        self.time_s = time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
+        self.time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
         self._observations = observations = _union(inbox, node.below, OBSERVATIONS)
         vigilance = self._vigilance
         if vigilance:
             vigilance.keep("belief", self._belief)
             vigilance.keep("observations", observations)
-        self._sensed = sensed = node.observe(self.epoch, time_s, observations, self._belief)
+        self._sensed = sensed = self._observe(observations)
         if sensed is None:
             node.accept_none(node.observe, self.epoch)
         if vigilance or self.events:
@@ -367,6 +378,9 @@ class Engine:
             vigilance.keep("belief", sensed)
         self.inbox = {}  # not before: where an operator raises, nothing is taken in a second time
         self._send_up()
+
+    def _observe(self, observations: Elements) -> Value:
+        return self.node.observe(self.epoch, self.time_s, observations, self._belief)
 
     def _send_up(self) -> None:
         self._enter(Phase.PREDICT)
@@ -434,20 +448,27 @@ class Engine:
         if self._vigilance:
             self._vigilance.keep("belief", belief)
         if self._world is None:
-            effects.save(epoch, attempt, self.encoded_start, self.encoded)
-        for lower, enrich in self.wiring.context:
-            elements: Elements = ()
-            if enrich is not None:
-                elements = enrich.elements(epoch, time_s, belief)
-                if self._vigilance or self.events:
-                    self._called(enrich, elements)
-            self._send(CONTEXT, lower, elements, self.digest)
-        if self._world is not None:
+            self._tell_below()
+        else:
             effects.act(epoch, actions)
             effects.committed(Committed(epoch, attempt, self.digest))
         effects.completed(completed)
         if self._held:
             self._release()
+
+    def _tell_below(self) -> None:
+        """First the checkpoint: who has heard of a prediction goes on."""
+        self._effects.save(self.epoch, self.attempt, self.encoded_start, self.encoded)
+        self._send_context()
+
+    def _send_context(self) -> None:
+        for lower, enrich in self.wiring.context:
+            elements: Elements = ()
+            if enrich is not None:
+                elements = enrich.elements(self.epoch, self.time_s, self._belief)
+                if self._vigilance or self.events:
+                    self._called(enrich, elements)
+            self._send(CONTEXT, lower, elements, self.digest)
 
     def _send(self, kind: str, receiver: str, elements: Elements, digest: bytes) -> None:
         wiring = self.wiring
@@ -456,8 +477,10 @@ class Engine:
         )
         if self._after or self._extends:
             header = header._replace(extensions=self._extensions(kind))
-        message = Message(header, elements)
-        self._sent[receiver, kind] = message
+        self._deliver(Message(header, elements))
+
+    def _deliver(self, message: Message) -> None:
+        self._sent[message.header.receiver, message.header.kind] = message
         self._effects.send(message)
 
     _extends = False

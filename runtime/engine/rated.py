@@ -3,46 +3,187 @@
 Observations are sent on every edge in every epoch, so that each node passes all epochs, one after the other; in those
 that are not its turn it calls no operator of its own, and only hands on. What comes down is sent in turns alone, and
 kept for as long as it may count. Which epoch's input counts follows from the rates, not from what has come: a node
-waits for it. There is one attempt of each epoch and one roster here: it is the engine of runs in one process."""
+waits for it.
 
-from math import inf
+Nothing that was said is ever taken back, so an epoch has one attempt. What a node says stands in its checkpoint
+before it is heard, or follows from that: what it has sensed, the state after its last turn, and what it has said to
+its neighbours and they may lack. A process that comes in the place of a lost one goes on from there, and nobody else is
+undone. Who takes up a version of the roster greets its neighbours, with a message of epoch 0, and is told by each what
+it may lack; what comes twice is dropped.
+
+What a neighbour lacks is known by what it says. Context of a turn comes when that turn is in its sender's checkpoint,
+so observations up to there are not asked for again; observations of an epoch come when its sender has done the one
+before, so of what is in force by then, nothing older is."""
+
+from collections.abc import Mapping, Sequence
 
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.rates import Rates
-from hierax.runtime.engine.effects import EngineEffects
-from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.table import ACTIONS, Action, Phase
+from hierax.runtime.engine.effects import EngineEffects, Saved
+from hierax.runtime.engine.engine import DRAIN, Engine
+from hierax.runtime.engine.said import SaidMessages
+from hierax.runtime.engine.table import ACTIONS, EPOCHS_AHEAD, ROSTERS_AHEAD, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
-from hierax.schemas.messages import OBSERVATIONS, Header, Message
+from hierax.schemas.checkpoint import decode_under_way, encode_under_way
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
+
+GREETING = 0  # the epoch of a message that says nothing but that its sender is there
 
 
 class RatedEngine(Engine):
-    """One node's part in every epoch, by the rates of its hierarchy."""
+    """One node's part in every epoch, by the rates of its hierarchy.
 
-    def __init__(self, wiring: Wiring, effects: EngineEffects, *, rates: Rates) -> None:
-        self._rates = rates  # of the whole hierarchy
+    In a drained epoch a node that takes part hands on its context when all above it are done, and one that does not
+    hands on an empty one: so at its end all nodes are done with it."""
+
+    overlaps = True
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        effects: EngineEffects,
+        *,
+        rates: Rates,
+        saved: Saved | None = None,
+        comes_back: bool = False,
+    ) -> None:
+        self._rates = rates  # of the whole hierarchy; the other arguments are as `Engine` has them
         self._kept: dict[Slot, dict[int, Message]] = {}
-        self._gathered: dict[str, list[Value]] = {}
-        super().__init__(wiring, effects)
+        self._greets = comes_back or saved is not None  # whether neighbours may have more than this process knows of
+        self._unsent: list[Message] | None = None
+        self._epochs_ahead = EPOCHS_AHEAD + rates.span
+        self.drains = False  # whether the epoch under way is a drained one; of the world's, to be set before it begins
+        self.overruns: dict[str, int] = {}  # by node above, how often its delayed prediction was waited for
+        super().__init__(wiring, effects, saved=saved)
 
-    _epochs_ahead = inf  # of a slow node those below may be ahead by its delays
+    def restore(self, saved: Saved) -> None:
+        super().restore(saved._replace(attempt=0))
+        self._turned = saved.epoch  # the last epoch whose state was saved; those after it that are past change nothing
+        self._remembered: tuple[int, Value] | None = None
+        self._gathered: dict[str, list[Value]] = {}
+        self._unheard = SaidMessages()
+        if saved.under_way:
+            self._remembered, said = decode_under_way(saved.under_way)
+            self._unheard = SaidMessages(said)
+
+    @property
+    def under_way(self) -> bytes:
+        try:
+            return encode_under_way(self._remembered, self._unheard.encoded())
+        except SchemaError:  # a belief is looked at when it has predicted; before, it need not be one that can travel
+            return encode_under_way(None, self._unheard.encoded())
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
         return tuple(sorted(self._lacking()))
 
+    # --- what the world is told to do
+
     def begin(self, attempt: int = 0) -> None:
-        super().begin(attempt)
+        """Begin the next epoch. Its number of attempts is the owner's: here each has one."""
+        self._greet_first()
+        self._extends = self.drains
+        super().begin(0)
         self._go_on()
 
-    def receive(self, message: Message) -> None:
-        verdict = self.judge(message.header)
-        if ACTIONS[verdict] is Action.REFUSE:
-            self._effects.refused(message.header, verdict)
+    def begin_again(self, attempt: int) -> None:
+        """A process was lost, and another is there: go on with the epoch under way."""
+        self._greets = True
+        self._greet_first()
+        self._go_on()
+
+    def rewire(self, version: int) -> None:
+        super().rewire(version)
+        self._greets = True
+
+    # --- what is said again
+
+    def _greet_first(self) -> None:
+        if not self._greets:
             return
+        self._greets = False
+        for neighbour in (*self.node.above, *self.node.below):
+            self._greet(neighbour)
+
+    def _greet(self, neighbour: str) -> None:
+        kind = OBSERVATIONS if neighbour in self.node.above else CONTEXT
+        header = Header(
+            kind, self.name, neighbour, GREETING, 0, self._roster, self.wiring.instance, self.time_s, NO_DIGEST
+        )
+        self._effects.send(Message(header, ()))
+
+    def say_again(self, neighbour: str) -> None:
+        if self.begun:
+            self._greet(neighbour)
+            self._say_what_it_lacks(neighbour)
+
+    def _say_what_it_lacks(self, neighbour: str) -> None:
+        for message in self._unheard.to(neighbour):
+            header = message.header._replace(roster=self._roster, instance=self.wiring.instance)
+            self._effects.send(Message(header, message.payload))
+
+    def resend(self, receivers: Sequence[str]) -> None:
+        for receiver in receivers:
+            self.say_again(receiver)
+
+    # --- what comes
+
+    def receive(self, message: Message) -> None:
+        header = message.header
+        verdict = self.judge(header)
+        if verdict is Verdict.NEW_ROSTER:
+            self._receive_of_new_roster(message)
+        elif ACTIONS[verdict] is Action.REFUSE:
+            self._effects.refused(header, verdict)
+        else:
+            self._take_in(message)
+
+    def _receive_of_new_roster(self, message: Message) -> None:
+        if not self._takes_up(message.header):
+            self._hold(message, Verdict.NEW_ROSTER)
+            return
+        self.rewire(message.header.roster)
+        self._take_in(message)
+        self._release()
+
+    def _take_in(self, message: Message) -> None:
+        header = message.header
+        self.begun = True
+        self._greet_first()
+        if header.epoch == GREETING:
+            self._say_what_it_lacks(header.sender)
+            return
+        self._forget(header)
         self._keep(message)
         self._go_on()
+
+    def compare(self, message: Message) -> None:
+        known = self._kept.get((message.header.sender, message.header.kind), {}).get(message.header.epoch)
+        if known is not None:
+            self._check_same(known, message)
+
+    def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
+        return attempt != 0 or roster - self._roster > ROSTERS_AHEAD or epoch - self.epoch > self._epochs_ahead
+
+    def _takes_up(self, header: Header) -> bool:
+        """Whether its roster is at hand, and it comes from a neighbour that has taken that up: so it is in force."""
+        wiring = self._prepared.get(header.roster)
+        if wiring is None or header.receiver != self.name:
+            return False
+        slot = (header.sender, header.kind)
+        return header.instance == wiring.below.get(slot, wiring.above.get(slot))
+
+    def _forget(self, header: Header) -> None:
+        """What its sender will not ask for any more."""
+        peer = header.sender
+        if header.kind == OBSERVATIONS:
+            oldest = self._rates.in_force(peer, self.name, header.epoch)
+            for kind in (TASKS, CONTEXT):
+                self._unheard.forget(peer, kind, oldest)
+        elif header.kind == CONTEXT and self._rates.takes_part(peer, header.epoch):
+            self._unheard.forget(peer, OBSERVATIONS, header.epoch + 1)
 
     def _keep(self, message: Message) -> None:
         header = message.header
@@ -60,20 +201,7 @@ class RatedEngine(Engine):
             return self.epoch + 1
         return self._rates.in_force(self.name, slot[0], self.epoch)
 
-    def _lacking(self) -> list[Slot]:
-        """Of whom there is no input with which the node could go on."""
-        if self.phase is Phase.DONE:
-            return [slot for slot in self.wiring.below if self.epoch + 1 not in self._kept.get(slot, ())]
-        return [slot for slot in self.wiring.above if self._in_force(slot) is None]
-
-    def _in_force(self, slot: Slot) -> Message | None:
-        """What counts of a slot in this epoch; None: it has not come."""
-        sender, kind = slot
-        epoch = self._rates.in_force(self.name, sender, self.epoch)
-        if epoch:
-            return self._kept.get(slot, {}).get(epoch)
-        instance = self.wiring.above[slot]
-        return Message(Header(kind, sender, self.name, 0, 0, self._roster, instance, 0.0, NO_DIGEST), ())
+    # --- what can be done with it
 
     def _go_on(self) -> None:
         """Do all that can be done with what is in hand; a world begins no epoch by itself."""
@@ -85,9 +213,37 @@ class RatedEngine(Engine):
             else:
                 self._predict()
 
+    def _lacking(self) -> list[Slot]:
+        """Of whom there is no input with which the node could go on."""
+        if self.phase is Phase.DONE:
+            return [slot for slot in self.wiring.below if not self._has(slot, self.epoch + 1)]
+        in_force = [slot for slot in self.wiring.above if self._takes_part and self._in_force(slot) is None]
+        return in_force + (self._under_way_above() if self.drains else [])
+
+    def _under_way_above(self) -> list[Slot]:
+        """Of a drained epoch, who is not done with it."""
+        return [slot for slot in self.wiring.above if slot[1] == CONTEXT and not self._has(slot, self.epoch)]
+
+    def _has(self, slot: Slot, epoch: int) -> bool:
+        return epoch in self._kept.get(slot, ())
+
+    @property
+    def _takes_part(self) -> bool:
+        return self._rates.takes_part(self.name, self.epoch)
+
+    def _in_force(self, slot: Slot) -> Message | None:
+        """What counts of a slot in this epoch; None: it has not come."""
+        sender, kind = slot
+        epoch = self._rates.in_force(self.name, sender, self.epoch)
+        if epoch:
+            return self._kept.get(slot, {}).get(epoch)
+        instance = self.wiring.above[slot]
+        return Message(Header(kind, sender, self.name, 0, 0, self._roster, instance, 0.0, NO_DIGEST), ())
+
     def _sense(self) -> None:
+        self.drains = self._extends = any(DRAIN in message.header.extensions for message in self.inbox.values())
         self._gather()
-        if self._rates.takes_part(self.name, self.epoch):
+        if self._takes_part:
             super()._sense()
             return
         self.time_s = self.inbox[self.node.below[0], OBSERVATIONS].header.time_s
@@ -102,12 +258,21 @@ class RatedEngine(Engine):
             if (lower, self.name) in self._rates.gathers:
                 gathered = self._gathered.setdefault(lower, [])
                 gathered += [(self.epoch, element) for element in message.payload]
-                if self._rates.takes_part(self.name, self.epoch):
+                if self._takes_part:
                     self.inbox[slot] = Message(message.header, tuple(self._gathered.pop(lower)))
+
+    def _observe(self, observations: Elements) -> Value:
+        """A process that comes back has said what follows from the belief of before: that counts, and no other one."""
+        if self._remembered is not None and self._remembered[0] == self.epoch:
+            return self._remembered[1]
+        sensed = super()._observe(observations)
+        self._remembered = (self.epoch, sensed)
+        self._effects.save(self._turned, 0, self.encoded_start, self.encoded)
+        return sensed
 
     def _send_up(self) -> None:
         """Then it waits for what is above, if it is its turn; `_go_on` looks whether that is here."""
-        self._enter(Phase.PREDICT if self._rates.takes_part(self.name, self.epoch) else Phase.DONE)
+        self._enter(Phase.PREDICT if self._takes_part or self.drains else Phase.DONE)
         for upper, sense in self.wiring.sense:
             elements: Elements = ()
             if sense is not None and self._rates.is_sensed(self.name, upper, self.epoch):
@@ -115,8 +280,21 @@ class RatedEngine(Engine):
                 if self._vigilance or self.events:
                     self._called(sense, elements)
             self._send(OBSERVATIONS, upper, elements, b"")
+        if self._takes_part:
+            self._note_overruns()
+
+    def _note_overruns(self) -> None:
+        """Who above has not come to an end in the epochs that a delay gives it."""
+        late = {sender for sender, _ in self.wiring.above if (self.name, sender) in self._rates.delays}
+        for sender in late.intersection(sender for sender, _ in self._lacking()):
+            self.overruns[sender] = self.overruns.get(sender, 0) + 1
 
     def _predict(self) -> None:
+        if not self._takes_part:  # in a drained epoch those above are done
+            self._enter(Phase.DONE)
+            for lower in self.node.below:
+                self._send(CONTEXT, lower, (), NO_DIGEST)
+            return
         chosen = {slot: self._in_force(slot) for slot in self.wiring.above}
         self.inbox = {slot: message for slot, message in chosen.items() if message is not None}
         for slot in self.wiring.above:
@@ -124,3 +302,24 @@ class RatedEngine(Engine):
             for epoch in [epoch for epoch in kept if epoch < oldest]:
                 del kept[epoch]
         super()._predict()
+
+    # --- what is said
+
+    def _tell_below(self) -> None:
+        self._turned, self._remembered = self.epoch, None
+        self._unsent = []
+        self._send_context()
+        unsent, self._unsent = self._unsent, None
+        self._effects.save(self.epoch, 0, self.encoded_start, self.encoded)  # with what is about to be sent
+        for message in unsent:
+            self._effects.send(message)
+
+    def _deliver(self, message: Message) -> None:
+        self._unheard.keep(message)
+        if self._unsent is None:
+            self._effects.send(message)
+        else:
+            self._unsent.append(message)
+
+    def _extensions(self, kind: str) -> Mapping[str, Value]:
+        return {DRAIN: True} if kind == OBSERVATIONS else NO_EXTENSIONS

@@ -15,12 +15,10 @@ from math import inf
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.engine.effects import EngineEffects, Saved
-from hierax.runtime.engine.engine import SLOT_FIELDS, Engine
+from hierax.runtime.engine.engine import DRAIN, SLOT_FIELDS, Engine
 from hierax.runtime.engine.table import ACTIONS, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.messages import OBSERVATIONS, Header, Message
-
-DRAIN = "drain"  # key of the header's extension that makes an epoch a drained one
 
 _UNTIMELY = (Verdict.LATE, Verdict.EARLY, Verdict.DOUBLE, Verdict.CURRENT)
 
@@ -49,6 +47,8 @@ class Ages:
 
 class StaleEngine(Engine):
     """One node's part in epochs that overlap; in free running only when `poll` is called."""
+
+    overlaps = True
 
     def __init__(
         self,

@@ -45,7 +45,7 @@ class Checkpoints:
         if faults:
             _log.warning("checkpoint: %s; using that of epoch %d", faults, checkpoint.epoch)
         start, now = (ActiveNode(*decode_state(state)) for state in (checkpoint.start, checkpoint.now))
-        return checkpoint, Saved(checkpoint.epoch, checkpoint.attempt, start, now)
+        return checkpoint, Saved(checkpoint.epoch, checkpoint.attempt, start, now, checkpoint.under_way)
 
 
 def newest_whole(reads: Sequence[Read]) -> tuple[bytes | None, str]:

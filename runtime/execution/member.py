@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
+from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Completed, Saved
 from hierax.runtime.engine.engine import Engine
@@ -43,6 +44,7 @@ class Seat:
     port: Port  # of the node
     observers: Observers | None = None  # of the node; None: nobody observes it yet
     staleness: Staleness = BARRIER  # of the deployment
+    rates: Rates = NO_RATES  # likewise
     alone: frozenset[str] = frozenset()  # the nodes that fail alone, until a roster comes that says otherwise
 
 
@@ -61,6 +63,7 @@ class Member(Host):
         self.port = seat.port
         self.observers = Observers(seat.name) if seat.observers is None else seat.observers
         self.staleness = seat.staleness
+        self._rates = seat.rates
         self.runner: NodeRunner | None = None  # of the node; None: no roster with it has come yet
         self.dismissed = ""  # why the process is to end; empty: it is not
         self.again = False  # whether another one is to come in its place then
@@ -98,7 +101,7 @@ class Member(Host):
     def run(self, wiring: Wiring, saved: Saved | None = None, joins: bool = False) -> NodeRunner:
         """Have a runner from now on; the arguments are those of `Engine`."""
         parts = (self.port, self.observers, self, self._world)
-        self.runner = NodeRunner(wiring, *parts, staleness=self.staleness, saved=saved, joins=joins)
+        self.runner = NodeRunner(wiring, *parts, staleness=self.staleness, rates=self._rates, saved=saved, joins=joins)
         return self.runner
 
     def join(self, request: str = "") -> None:
@@ -177,7 +180,7 @@ class Member(Host):
 
     def _resend(self, order: control.Resend) -> None:
         engine = self.engine
-        if engine is None or (engine.epoch, engine.attempt) != (order.epoch, order.attempt):
+        if engine is None or not (engine.overlaps or (engine.epoch, engine.attempt) == (order.epoch, order.attempt)):
             return
         turn, count = self._resent
         count = count + 1 if turn == (order.epoch, order.attempt) else 1
@@ -215,7 +218,8 @@ class Member(Host):
 
     def save(self, engine: Engine, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
         wiring = engine.wiring
-        self._checkpoints.save(Checkpoint(epoch, attempt, wiring.instance, wiring.roster, True, start, now))
+        place = (wiring.instance, wiring.roster)
+        self._checkpoints.save(Checkpoint(epoch, attempt, *place, True, start, now, engine.under_way))
 
     def lacks(self, version: int) -> None:
         if version not in self._fetched and len(self._fetched) < MAX_PREPARED:

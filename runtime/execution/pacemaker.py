@@ -14,7 +14,6 @@ from typing import NoReturn
 from hierax.runtime.core.binding import CALLS, Call
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.pace import Pace
 from hierax.runtime.execution.times import Times
@@ -50,7 +49,7 @@ class Pacemaker:
         if engine.phase is not Phase.DONE or self.done:
             return False
         if self.asked:
-            soonest = engine.epoch + isinstance(engine, StaleEngine)  # where epochs overlap, the last one is drained
+            soonest = engine.epoch + engine.overlaps  # where epochs overlap, the last one is drained
             self.limit = soonest if self.limit is None else min(self.limit, soonest)
             self.asked = False
         self.done = (self.limit is not None and engine.epoch >= self.limit) or engine.finished

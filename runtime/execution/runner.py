@@ -105,7 +105,7 @@ class NodeRunner(EngineEffects):
         world: World | None = None,  # at the world's node; None at others
         *,
         staleness: Staleness = BARRIER,  # of the deployment
-        rates: Rates = NO_RATES,  # of the deployment; with them nothing is saved, and nobody joins
+        rates: Rates = NO_RATES,  # likewise
         saved: Saved | None = None,  # as `Engine` has it
         joins: bool = False,  # likewise
     ) -> None:
@@ -118,7 +118,7 @@ class NodeRunner(EngineEffects):
         self._committed: Committed | None = None
         self.engine: Engine
         if rates:
-            self.engine = RatedEngine(wiring, self, rates=rates)
+            self.engine = RatedEngine(wiring, self, rates=rates, saved=saved, comes_back=joins)
         elif staleness.barrier:
             self.engine = Engine(wiring, self, saved=saved, joins=joins)
         else:
@@ -191,7 +191,7 @@ class NodeRunner(EngineEffects):
 
     def drain(self, drains: bool) -> None:
         """Whether the world's next epoch is a drained one; the last one is, so that every node has a part in it."""
-        if isinstance(self.engine, StaleEngine):
+        if isinstance(self.engine, (StaleEngine, RatedEngine)):
             self.engine.drains = drains
 
     def move(self, epoch: int, actions: Elements) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 from hierax.runtime.execution.report import Json
 
 Told = Mapping[str, Mapping[str, Any]]
-"""By node, what its process tells: of the world's ``pace``, by `Pace.told`, and ``budget``, by `Budget.told`."""
+"""By node, what its process tells: of the world's ``pace``, by `Pace.told`, ``budget``, by `Budget.told`, and
+``overruns``, by `RatedEngine`."""
 
 
 def timing_of(told: Told) -> Json:
@@ -15,16 +16,27 @@ def timing_of(told: Told) -> Json:
 
     ``rate`` has how late epochs began, in milliseconds, and after whom: an epoch begins late as the one before was not
     done, so those are named that were over their budget in it, or in the first of several that began late in a row.
-    ``budgets`` has by node how many epochs took it longer, and the longest of them."""
+    ``budgets`` has by node how many epochs took it longer, and the longest of them, ``overruns`` by node above, and by
+    node below, in how many epochs that has waited for what the edge's delay should have given it the time for."""
     paces = [each["pace"] for each in told.values() if "pace" in each]
     budgets = {name: each["budget"] for name, each in told.items() if "budget" in each}
     kept = {name: {what: each[what] for what in ("budget_ms", "over", "max_ms")} for name, each in budgets.items()}
+    waited = _overruns({name: each.get("overruns", {}) for name, each in told.items()})
+    overruns: dict[str, Any] = {"overruns": waited} if waited else {}
     if not paces:
-        return {"budgets": kept} if kept else None
+        return {"budgets": kept, **overruns} if kept or overruns else None
     (pace,) = paces
     after = culprits(pace["epochs"], {name: each["epochs"] for name, each in budgets.items()})
     rate = {what: each for what, each in pace.items() if what != "epochs"}
-    return {"rate": {**rate, "after": dict(after)}, "budgets": kept}
+    return {"rate": {**rate, "after": dict(after)}, "budgets": kept, **overruns}
+
+
+def _overruns(told: Mapping[str, Mapping[str, int]]) -> dict[str, dict[str, int]]:
+    found: dict[str, dict[str, int]] = {}
+    for lower, each in told.items():
+        for upper, count in each.items():
+            found.setdefault(upper, {})[lower] = count
+    return found
 
 
 def culprits(late: Sequence[int], over: Mapping[str, Sequence[int]]) -> Counter[str]:
@@ -59,4 +71,7 @@ def lines_of(timing: Json) -> list[str]:
         if budget["over"]:
             took = f"{budget['over']} epochs took longer, the longest {budget['max_ms']:.1f} ms"
             lines.append(f"{name}: a budget of {budget['budget_ms']:g} ms; {took}")
+    for upper, waited in sorted((timing or {}).get("overruns", {}).items()):
+        who = ", ".join(f"{lower} {count}" for lower, count in sorted(waited.items()))
+        lines.append(f"{upper}: longer than its delays; epochs in which it was waited for: {who}")
     return lines

@@ -304,6 +304,7 @@ class WorldMember(World, OwnerEffects):
             if trial is None
             else checkpoint.encode_trial(trial.name, trial.before, (trial.process, *trial.born), trial.alone),
             alone=self._alone_bytes,
+            under_way=engine.under_way,
         )
 
     def _proceed(self, its_turn: bool = False) -> None:
@@ -339,7 +340,7 @@ def read_record(slots: Slots) -> tuple[checkpoint.WorldRecord, Saved]:
         _log.warning("record: %s; using that of epoch %d", faults, record.epoch)
         record = _safest(record)
     state = ActiveNode(*checkpoint.decode_state(record.state))
-    return record, Saved(record.epoch - 1, record.last_attempt, state, state)
+    return record, Saved(record.epoch - 1, record.last_attempt, state, state, record.under_way)
 
 
 def _safest(record: checkpoint.WorldRecord) -> checkpoint.WorldRecord:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import anyio
 
+from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
 from hierax.runtime.loading.allowance import Allowance
@@ -32,7 +33,8 @@ READ_BYTES = 1 << 16  # at once, of a pipe
 
 _LENGTH = struct.Struct("<I")
 
-STOP = "stop"  # command: finish, report, exit. What is no command is a control message for the roster's owner, as bytes
+STOP = "stop"  # command, alone or a map with the run's last epoch: finish, report, exit
+# What is no command is a control message for the roster's owner, as bytes.
 FINISH = "finish"  # command to the world: the epoch under way is the last one
 LEAVE = "leave"  # command, a map: report the last epoch committed (None: the world knows it) at once, and exit
 
@@ -80,6 +82,7 @@ class NodeOrder:
     epochs: int | None  # how many; None: until the world has finished
     staleness: int | None  # how old inputs from above may be, in epochs; None: free running
     exact: bool  # whether they are exactly so old
+    rates: Rates = NO_RATES  # of the hierarchy
     rate_hz: float | None = None  # in free running, how often at most the node takes part in an epoch; None: as it can
     late: Late = "catch_up"  # of the world's, which has a rate with the barrier, too
     budget_ms: float | None = None  # how long the node may be at work in an epoch; None: that is not looked at
@@ -118,6 +121,7 @@ class NodeOrder:
         return {
             **self.__dict__,
             "roster": None if self.roster is None else self.roster.plain(),
+            "rates": self.rates.plain(),
             "probes": [[probe.node, probe.reference.plain(), probe.overwrite] for probe in self.probes],
             "owner": None if self.owner is None else self.owner.__dict__,
         }
@@ -131,7 +135,9 @@ class NodeOrder:
         roster = None if value["roster"] is None else Roster.read(value["roster"])
         owner = None if value["owner"] is None else OwnerPolicy(**value["owner"])
         slots = None if value["slots"] is None else tuple(value["slots"])
-        return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner, "slots": slots})
+        rates = Rates.read(value["rates"])
+        read = {"roster": roster, "rates": rates, "probes": probes, "owner": owner, "slots": slots}
+        return NodeOrder(**{**value, **read})
 
 
 async def read_some(descriptor: int) -> bytes:
@@ -240,4 +246,6 @@ class SupervisorPipe(Supervision):
     def finish(self, owner: Owner) -> None:
         if not self._finished:
             self._finished = True
-            self.say(FINISHED, processes=dict(owner.members.processes), roster=owner.members.roster.plain())
+            members = owner.members
+            roster, processes = members.roster.plain(), dict(members.processes)
+            self.say(FINISHED, epoch=owner.progress.epoch, processes=processes, roster=roster)

@@ -40,6 +40,7 @@ class GracefulEnd:
         self._processes = processes  # those of the launch
         self._world = deployment.roster.world
         self._barrier = deployment.staleness.barrier
+        self._overlaps = deployment.overlaps
         self._notify = notify  # tells people what happens
         self.epoch: int | None = None  # the last one committed; None: it is not known
         self.unreported: dict[str, str] = {}  # nodes whose state after it is not known, and why
@@ -113,7 +114,7 @@ class GracefulEnd:
         if found is None:
             raise HieraxError("its process did not answer, and has kept no checkpoint yet")
         checkpoint, saved = found
-        if self._barrier and checkpoint.epoch - epoch not in (0, 1):
+        if not self._overlaps and checkpoint.epoch - epoch not in (0, 1):
             raise HieraxError(f"its process did not answer, and its checkpoint is of epoch {checkpoint.epoch}")
         return saved.start if self._barrier and checkpoint.epoch > epoch else saved.now
 

@@ -7,6 +7,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from hierax.runtime.engine.rated import RatedEngine
+from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.execution.world_member import WorldMember
@@ -141,6 +143,7 @@ class NodeLoop:
     port: ZenohPort  # of the node
     words: ControlQueue  # what others say to the member, or to the owner
     stopping: threading.Event  # set when it is to stop
+    last: int = 0  # then what it has to be done with: the run's last epoch
     _ticks: bool = False
     _ticked_s: float = field(default_factory=time.monotonic)
     _moved_s: float = field(default_factory=time.monotonic)
@@ -190,7 +193,7 @@ class NodeLoop:
 
     def _run_in_step(self) -> None:
         watch, wait_s = self.watch, None
-        while not self.stopping.is_set():
+        while not (self.stopping.is_set() and self._has_caught_up()):
             if self.words or self._ticks:
                 self._serve()
             if self.member.dismissed:
@@ -200,6 +203,13 @@ class NodeLoop:
             took = self._take_next(self.port.poll if self.words or wait_s is not None else self.port.receive)
             if wait_s and not took:
                 time.sleep(min(wait_s, NAP_S))
+
+    def _has_caught_up(self) -> bool:
+        """Whether a node with rates, which may be behind the world, is done with all there is."""
+        engine = self.member.engine
+        if not isinstance(engine, RatedEngine):
+            return True
+        return engine.epoch >= self.last and (engine.phase is Phase.DONE or self.last == 0)
 
     def _run_freely(self) -> None:
         """Do the same as in step, but the node takes its turns when they are due, on the newest of what has come."""

@@ -185,6 +185,8 @@ def _obey(worker: NodeWorker, command: Value) -> None:
         worker.finish()
     elif isinstance(command, dict) and KEPT in command:
         worker.kept(command[KEPT])
+    elif isinstance(command, dict) and STOP in command:
+        worker.finish_up(command[STOP])
     elif isinstance(command, dict):
         worker.leave(command[LEAVE])
     else:

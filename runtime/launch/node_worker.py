@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.core.staleness import Staleness
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.member import Member, Seat
@@ -104,6 +105,12 @@ class NodeWorker:
         self._stopping.set()
         self._wake()
 
+    def finish_up(self, epoch: int) -> None:
+        """Make the node's thread come to its end when all is done up to the last epoch, which is committed."""
+        if self._loop is not None:
+            self._loop.last = epoch
+        self.stop()
+
     def finish(self) -> None:
         """Make the run come to its end, if this is the world's process."""
         if self._world is not None:
@@ -113,6 +120,8 @@ class NodeWorker:
     def leave(self, epoch: int | None) -> None:
         """Make the node's thread come to its end at once, and report of an epoch; None: of the last one committed."""
         self._leaves, self._epoch = True, epoch
+        if self._loop is not None:
+            self._loop.last = 0
         self.stop()
 
     def kept(self, number: int) -> None:
@@ -254,7 +263,7 @@ class NodeWorker:
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
-        seat = Seat(order.name, order.process, loader.wiring, port, observers, staleness, alone)
+        seat = Seat(order.name, order.process, loader.wiring, port, observers, staleness, order.rates, alone)
         try:
             if order.owner is not None:
                 with self._home.declaring:
@@ -304,7 +313,10 @@ class NodeWorker:
     def _timing(self) -> dict[str, Value]:
         """What the node and the world are held to, and how often they do not keep it."""
         pace = None if self._world is None else self._world.pacemaker.pace
+        engine = None if self._member is None else self._member.engine
+        overruns = dict(engine.overruns) if isinstance(engine, RatedEngine) else {}
         return {
+            **({"overruns": overruns} if overruns else {}),
             **({} if self._budget is None else {"budget": self._budget.told()}),
             **({} if pace is None else {"pace": pace.told()}),
         }

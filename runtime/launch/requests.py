@@ -163,6 +163,7 @@ class Requests:
         if not isinstance(here, bool) or not isinstance(host, str):
             raise SchemaError("expected true or false, and an address", "question.here, question.host")
         processes.orders.deployment.allowance.check_all(change)
+        processes.orders.deployment.refuse_rates("a change of what runs")
         await self._check(change)
         terms = {name: _terms_of(query, name) for name in new_nodes(change)}
         self._check_rates(terms)

@@ -129,6 +129,7 @@ class RosterSupervisor(ProcessSupervisor):
             self._beat.set()
             self._beat = anyio.Event()
         elif status == frames.FINISHED:
+            self.epoch = value["epoch"]
             if self._last_nodes is None:  # a further process of the world's knows of nobody any more
                 self._last_nodes = [name for name, token in value["processes"].items() if self.child(token) is not None]
             self._on_members(value["processes"])
@@ -342,9 +343,9 @@ class RosterSupervisor(ProcessSupervisor):
         return child is not None and child.alive
 
     def _comes_back(self, name: str) -> bool:
-        """Whether another process of a node is to be started."""
+        """Whether another process of a node is to be started, or may be: its end is just noticed."""
         child = self.current.get(name)
-        return child is not None and child.state is ProcessState.RESTARTING
+        return child is not None and (child.state is ProcessState.RESTARTING or not child.ended.is_set())
 
     async def watch_world(self) -> None:
         """Watch the world's process, which watches the others."""

@@ -72,7 +72,10 @@ def launch(
     SIGTERM or SIGHUP broke it off, all processes gone; before all nodes were up `KeyboardInterrupt`.
     """
     begun_s = time.perf_counter()
-    deployment.refuse_rates("a launch")
+    if recording is not None:
+        deployment.refuse_rates("a recording")
+    if any(terms.fails_alone for terms in deployment.terms.values()):
+        deployment.refuse_rates("'on_loss: detach'")
     with (forks or ForkServer()).start() as forks, ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
         found = stack.enter_context(reached(deployment))
@@ -287,7 +290,7 @@ class Supervisor:
             for child in silent:  # some may have been started in the place of others that were killed meanwhile
                 if child.token not in told:
                     told.add(child.token)
-                    await child.send(STOP)
+                    await child.send({STOP: self._processes.epoch})
             await anyio.sleep(POLL_S)
 
     async def _end_all(self) -> None:

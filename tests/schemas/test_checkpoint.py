@@ -20,13 +20,16 @@ from hierax.schemas.checkpoint import (
     decode_checkpoint,
     decode_roster,
     decode_state,
+    decode_under_way,
     decode_world,
     encode_checkpoint,
     encode_trial,
+    encode_under_way,
     encode_world,
 )
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
+from hierax.schemas.messages import Header, Message, encode_message
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
@@ -54,10 +57,13 @@ WORLD = WorldRecord(
     trial=encode_trial("arm", ROSTER, ("token", 2, 5, ""), True),
 )
 CHECKPOINT_BYTES = bytes.fromhex(
-    "98 01 07 01 02 03 c3"
+    "99 02 07 01 02 03 c3"
     "c4 0e 93 81 a4 6c6f7374 c2 a4 77616974 90"
     "c4 19 93 81 a4 6c6f7374 c3 a6 666f6c6c6f77 91 cb 3fe0000000000000"
+    "c4 00"
 )
+
+MESSAGE = encode_message(Message(Header("obs", "arm", "mind", 6, time_s=0.5), ({"seen": True},)))
 
 states = st.builds(encode_state, values, st.text(max_size=8), st.lists(values, max_size=2).map(tuple))
 checkpoints = st.builds(Checkpoint, unsigned, unsigned, unsigned, unsigned, st.booleans(), states, states)
@@ -71,6 +77,12 @@ records = st.builds(
     st.binary(min_size=32, max_size=32),
     states,
 )
+under_ways = st.builds(
+    encode_under_way,
+    st.none() | st.tuples(st.integers(0, 1 << 40), values),
+    st.lists(st.just(MESSAGE), max_size=2),
+)
+checkpoints = st.builds(Checkpoint._replace, checkpoints, under_way=st.just(b"") | under_ways)
 patient = settings(max_examples=60)
 
 
@@ -96,11 +108,15 @@ def test_bytes_once_written_are_read_for_ever() -> None:
 
 
 def test_any_msgpack_library_reads_them() -> None:
-    assert msgpack.unpackb(encode_checkpoint(CHECKPOINT)) == [1, *CHECKPOINT]
-    assert msgpack.unpackb(encode_world(WORLD)) == [1, *WORLD]
+    assert msgpack.unpackb(encode_checkpoint(CHECKPOINT)) == [2, *CHECKPOINT]
+    assert msgpack.unpackb(encode_world(WORLD)) == [2, *WORLD]
 
 
 def test_what_is_inside_comes_back() -> None:
+    assert decode_under_way(b"") == (None, ())
+    sensed, said = decode_under_way(encode_under_way((7, {"lost": False}), [MESSAGE]))
+    assert sensed == (7, {"lost": False})
+    assert [encode_message(message) for message in said] == [MESSAGE]
     assert decode_roster(WORLD.roster) == ROSTER
     belief, policy, actions = decode_state(encode_state({"pose": np.eye(2)}, "follow", (1, "grip")))
     assert np.array_equal(belief["pose"], np.eye(2))
@@ -117,6 +133,7 @@ CHECKPOINT_FAULTS: list[tuple[dict[str, Any], str, str]] = [
     ({"finished": 1}, "finished", "expected true or false, got 1"),
     ({"start": "text"}, "start", "expected bytes, got 'text'"),
     ({"now": None}, "now", "expected bytes, got None"),
+    ({"under_way": ()}, "under_way", "expected bytes, got a tuple"),
 ]
 WORLD_FAULTS: list[tuple[dict[str, Any], str, str]] = [
     *(({name: 0.5}, name, f"{WHOLE} 0.5") for name in ("epoch", "attempt", "instance", "highest_version", "acted")),
@@ -134,6 +151,11 @@ CHECKPOINT_INSIDE: list[tuple[dict[str, Any], str, str]] = [
     ({"now": encode_value({})}, "now", "expected an array of belief, policy and actions"),
     ({"now": encode_value((1, 2, ()))}, "now.policy", "expected a string, got 2"),
     ({"now": encode_value((1, "wait", "go"))}, "now.actions", "expected an array of elements, got 'go'"),
+    ({"under_way": b"\xc1"}, "under_way", "not one msgpack value"),
+    *(
+        ({"under_way": encode_value(value)}, "under_way", "expected an array of what was sensed, and of messages")
+        for value in (None, (), ((), "text"), ((), (1,)), (1, ()), (("2", None), ()), ((), (), ()))
+    ),
 ]
 WORLD_INSIDE: list[tuple[dict[str, Any], str, str]] = [
     ({"roster": b"\xc1"}, "roster", "not one msgpack value"),
@@ -145,7 +167,7 @@ WORLD_INSIDE: list[tuple[dict[str, Any], str, str]] = [
 
 
 def by_hand(record: Checkpoint | WorldRecord) -> bytes:
-    return encode_value((1, *record))
+    return encode_value((2, *record))
 
 
 def check(error: SchemaError, where: str, what: str) -> None:
@@ -195,12 +217,12 @@ def test_a_record_too_large_is_refused() -> None:
     ("data", "where", "what"),
     [
         (b"", "checkpoint", "not one msgpack value"),
-        (encode_value(None), "checkpoint", "expected an array of 8 fields"),
-        (encode_value(()), "checkpoint", "expected an array of 8 fields"),
-        (encode_value((2, "of another version")), "checkpoint.format", "format 2; this version reads format 1"),
-        (encode_value((True, *CHECKPOINT)), "checkpoint.format", "format True; this version reads format 1"),
-        (encode_value((1, *CHECKPOINT, 0)), "checkpoint", "expected an array of 8 fields, got 9"),
-        (encode_world(WORLD), "checkpoint", "expected an array of 8 fields, got 14"),
+        (encode_value(None), "checkpoint", "expected an array of 9 fields"),
+        (encode_value(()), "checkpoint", "expected an array of 9 fields"),
+        (encode_value((1, "of another version")), "checkpoint.format", "format 1; this version reads format 2"),
+        (encode_value((True, *CHECKPOINT)), "checkpoint.format", "format True; this version reads format 2"),
+        (encode_value((2, *CHECKPOINT, 0)), "checkpoint", "expected an array of 9 fields, got 10"),
+        (encode_world(WORLD), "checkpoint", "expected an array of 9 fields, got 15"),
     ],
 )
 def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> None:
@@ -210,7 +232,7 @@ def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> No
 
 
 def test_a_checkpoint_is_no_world_record() -> None:
-    with pytest.raises(SchemaError, match="record: expected an array of 14 fields, got 8"):
+    with pytest.raises(SchemaError, match="record: expected an array of 15 fields, got 9"):
         decode_world(encode_checkpoint(CHECKPOINT))
 
 

@@ -27,20 +27,39 @@ EPOCHS = 12
 seeds = st.integers(0, 2**32)
 
 
-@settings(max_examples=examples(60, 600))
-@given(seeds, seeds, seeds)
-def test_any_order_of_delivery_gives_what_the_direct_implementation_gives(one: int, two: int, order: int) -> None:
-    hierarchy = random_hierarchy(one, setting=OperatorSetting(seed=order))
-    rates = random_rates(two, hierarchy)
-    direct = Direct(hierarchy, rates)
-    network = RatedNetwork(hierarchy, rates, order, doubling=0.2)
-    network.run(EPOCHS)
+def check_as_direct(network: RatedNetwork, direct: Direct, world: str) -> None:
     for name, done in network.done.items():
-        assert [epoch for epoch, _, _ in done] == direct.turns(name, EPOCHS)
-        for epoch, state, digest in done:
+        assert sorted(done) == direct.turns(name, EPOCHS)
+        for epoch, (state, digest) in done.items():
             assert state == encode_state(*direct.after(name, epoch)), (name, epoch)
             assert digest == direct.digest(name, epoch), (name, epoch)
-    assert network.commits == [direct.digest(hierarchy.world, epoch) for epoch in range(1, EPOCHS + 1)]
+    assert network.commits == commits_of(direct, world)
+
+
+def commits_of(direct: Direct, world: str) -> dict[int, bytes]:
+    return {epoch: direct.digest(world, epoch) for epoch in range(1, EPOCHS + 1)}
+
+
+@settings(max_examples=examples(60, 600))
+@given(seeds, seeds, seeds, st.booleans())
+def test_any_order_of_delivery_gives_what_the_direct_implementation_gives(
+    one: int, two: int, order: int, drains: bool
+) -> None:
+    hierarchy = random_hierarchy(one, setting=OperatorSetting(seed=order))
+    rates = random_rates(two, hierarchy)
+    network = RatedNetwork(hierarchy, rates, order, doubling=0.2)
+    network.run(EPOCHS, drains)
+    check_as_direct(network, Direct(hierarchy, rates), hierarchy.world)
+
+
+@settings(max_examples=examples(150, 5000))
+@given(seeds, seeds, seeds, st.sampled_from((0.005, 0.02, 0.05)), st.booleans())
+def test_processes_that_die_change_nothing(one: int, two: int, order: int, killing: float, drains: bool) -> None:
+    hierarchy = random_hierarchy(one, setting=OperatorSetting(seed=order))
+    rates = random_rates(two, hierarchy)
+    network = RatedNetwork(hierarchy, rates, order, doubling=0.2, killing=killing)
+    network.run(EPOCHS, drains)
+    check_as_direct(network, Direct(hierarchy, rates), hierarchy.world)
 
 
 @settings(max_examples=examples(60, 600))
@@ -136,6 +155,6 @@ def test_a_planted_mistake_is_found(mistake: str, monkeypatch: pytest.MonkeyPatc
         direct = Direct(hierarchy, random_rates(seed, hierarchy))
         network = RatedNetwork(hierarchy, direct.rates, seed)
         network.run(EPOCHS)
-        if network.commits != [direct.digest(hierarchy.world, epoch) for epoch in range(1, EPOCHS + 1)]:
+        if network.commits != commits_of(direct, hierarchy.world):
             return
     raise AssertionError("no seed has found it")

@@ -51,12 +51,18 @@ def test_a_dry_run_goes_on_until_every_node_has_taken_part() -> None:
     assert run_dry(read_deployment("servo", ["nodes.motion.every=7"])) > every_epoch
 
 
-def test_a_launch_refuses_rates_before_it_starts_anything(tmp_path: Path) -> None:
+def test_a_launch_refuses_what_it_does_not_know_with_rates_before_it_starts_anything(tmp_path: Path) -> None:
     output = tmp_path / "output"
-    with pytest.raises(DeploymentError, match="'hierax run' alone; a launch does not know them") as raised:
-        launch(read_deployment("servo", SLOW), epochs=3, seed=0, output=output)
+    deployment = read_deployment("servo", [*SLOW, "nodes.camera.on_loss=detach"])
+    with pytest.raises(DeploymentError, match="'on_loss: detach' does not know them yet") as raised:
+        launch(deployment, epochs=3, seed=0, output=output)
     assert str(raised.value).startswith("--set nodes.motion.every=5: nodes.motion.every: ")
     assert not output.exists()
+
+
+def test_rates_do_not_go_with_links_that_carry_few_messages() -> None:
+    with pytest.raises(DeploymentError, match="low_latency: goes without rates only"):
+        read_deployment("servo", [*SLOW, "low_latency=true"])
 
 
 def test_changes_and_nodes_that_fail_alone_are_refused() -> None:

@@ -1,0 +1,102 @@
+"""Launches whose nodes take part now and then: the digests are those of `run`, whatever dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.launched import Launched, run_here, said_here
+from support.mixing_nodes import written
+
+NODES = ("world", "quick", "middle", "slow", "side")
+PACED = ("--set", "nodes.world.rate_hz=200", "--set", "restart.restart_delay=0.0")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    return str(written(tmp_path))
+
+
+def beliefs(report: dict[str, Any]) -> dict[str, Any]:
+    return {name: node["belief"] for name, node in report["nodes"].items()}
+
+
+def check_as_run(report: dict[str, Any], file: str, *words: str) -> None:
+    """The digest, and what every node believes at the end, also one that the world did not wait for."""
+    wanted = run_here(file, *words)
+    assert (report["epochs"], report["digest"]) == (wanted["epochs"], wanted["digest"])
+    assert beliefs(report) == beliefs(wanted)
+
+
+def test_every_node_killed_once_changes_nothing(tmp_path: Path, file: str) -> None:
+    with Launched(tmp_path, file, "--epochs", "500", *PACED) as launch:
+        for number, name in enumerate((*NODES, "slow", "world")):
+            launch.until_epoch(launch.epoch + 20 if number else 30)
+            launch.kill(name)
+        report = launch.report()
+        assert all(f"{name}: its process ended by signal SIGKILL" in launch.err for name in NODES)
+    check_as_run(report, file, "--epochs", "500")
+
+
+def test_two_neighbours_killed_at_once_change_nothing(tmp_path: Path, file: str) -> None:
+    with Launched(tmp_path, file, "--epochs", "300", *PACED) as launch:
+        for pair in (("middle", "slow"), ("world", "slow"), ("quick", "middle")):
+            launch.until_epoch(launch.epoch + 30)
+            for name in pair:
+                launch.kill(name)
+        report = launch.report()
+    check_as_run(report, file, "--epochs", "300")
+
+
+def test_who_is_behind_when_the_world_has_finished_comes_to_the_end(tmp_path: Path, file: str) -> None:
+    last = ("--set", "nodes.world.parameters.last=95", "--set", "nodes.slow.parameters.takes_s=0.05")
+    with Launched(tmp_path, file, *last) as launch:
+        report = launch.report()
+    assert report["epochs"] == 95
+    check_as_run(report, file, *last)
+
+
+def test_who_takes_longer_than_its_delay_is_waited_for_and_named(tmp_path: Path, file: str) -> None:
+    late = ("--set", "nodes.slow.parameters.takes_s=0.3", "--epochs", "100")
+    with Launched(tmp_path, file, *late, *PACED) as launch:
+        report = launch.report()
+    assert report["timing"]["overruns"]["slow"]["world"] >= 1
+    check_as_run(report, file, *late)
+
+
+def test_a_run_that_is_broken_off_ends_with_an_epoch_of_all_nodes(tmp_path: Path, file: str) -> None:
+    with Launched(tmp_path, file, *PACED) as launch:
+        launch.until_epoch(50)
+        os.kill(launch.process.pid, signal.SIGINT)
+        report = json.loads(launch.end())
+        assert launch.process.returncode == 130
+    assert report["interrupted"]
+    check_as_run(report, file, "--epochs", str(report["epochs"]))
+
+
+def test_a_run_goes_on_from_its_checkpoints(tmp_path: Path, file: str) -> None:
+    with Launched(tmp_path, file, "--epochs", "400", *PACED) as launch:
+        launch.until_epoch(60)
+        launch.process.kill()
+        launch.end()
+    with Launched(tmp_path, "--resume", str(tmp_path / "state")) as launch:
+        report = launch.report()
+    assert report["digest"] == run_here(file, "--epochs", "400")["digest"]
+
+
+def test_changes_and_recordings_are_refused_in_one_line(tmp_path: Path, file: str) -> None:
+    with Launched(tmp_path, file, *PACED) as launch:
+        launch.until_epoch(1)
+        for words in (["detach", "side"], ["set", "slow.takes_s=0.0"]):
+            said = said_here(*words, folder=tmp_path)
+            assert said.returncode == 1
+            assert re.search(r"a change of what runs does not know them yet$", said.stderr.strip()), said.stderr
+    said = said_here("launch", file, "--record", str(tmp_path / "run.mcap"))
+    assert said.returncode == 1
+    assert "a recording does not know them yet" in said.stderr
+    assert not (tmp_path / "run.mcap").exists()

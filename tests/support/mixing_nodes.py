@@ -1,0 +1,75 @@
+"""Nodes whose beliefs say all that they have ever observed and been told, in a hierarchy with rates and delays."""
+
+from __future__ import annotations
+
+import time
+from hashlib import sha256
+from pathlib import Path
+
+from hierax.runtime import Elements, Node, Tick, Value, World
+
+MIXING = """
+hierarchy: mixing
+world: world
+nodes:
+  world: {class: "support.mixing_nodes:MixingWorld"}
+  quick: {class: "support.mixing_nodes:Mixing"}
+  middle: {class: "support.mixing_nodes:Mixing", every: 3, offset: 1}
+  slow: {class: "support.mixing_nodes:Mixing", every: 20, offset: 7}
+  side: {class: "support.mixing_nodes:Mixing"}
+edges:
+  world -> quick: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
+  world -> slow: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", delay: 20, gather: true}
+  quick -> middle: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", gather: true}
+  middle -> slow: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", delay: 5}
+  quick -> side: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", delay: 1}
+"""
+
+
+def written(folder: Path, name: str = "mixing.yaml") -> Path:
+    """The hierarchy as a file, in a folder."""
+    path = folder / name
+    path.write_text(MIXING)
+    return path
+
+
+def _mixed(*parts: Value) -> int:
+    return int.from_bytes(sha256(repr(parts).encode()).digest()[:6], "big")
+
+
+class MixingWorld(World):
+    """Knows only what it was told, and the time."""
+
+    def __init__(self, last: int | None = None) -> None:
+        self.last = last  # after which epoch it has finished
+
+    def initial_belief(self) -> Value:
+        return (0, 0)
+
+    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick) -> Value:
+        return (tick.epoch, _mixed(context, actions, belief))
+
+    def finished(self, belief: Value) -> bool:
+        return bool(belief[0] == self.last)
+
+
+class Mixing(Node):
+    """Knows what it has observed, too; it may take its time."""
+
+    def __init__(self, takes_s: float = 0.0) -> None:
+        self.takes_s = takes_s
+
+    def initial_belief(self) -> Value:
+        return 1
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        time.sleep(self.takes_s)
+        return _mixed(observations, belief)
+
+    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick) -> Value:
+        return _mixed(tick.epoch, tick.rng.random(), context, actions, belief)
+
+
+def told(belief: Value) -> Elements:
+    """What goes up, or comes down."""
+    return (belief,)
