@@ -76,6 +76,7 @@ model: $(INSTALLED)
 # docs/simulation.md: 20 000 seeds under simulated faults, some five minutes on two idle cores
 sim: $(INSTALLED)
 	$(BIN)/hierax sim --seeds 0:20000
+	$(BIN)/hierax sim --seeds 0:20000 --rates
 
 # docs/simulation.md: the first seed that notices each planted mistake; some ten minutes
 mutations: $(INSTALLED)

@@ -159,22 +159,35 @@ def decode_trial(data: bytes, where: str = "trial") -> tuple[str, Roster, Place,
     return name, before, place, alone
 
 
-def encode_under_way(sensed: tuple[int, Value] | None, said: Sequence[bytes]) -> bytes:
-    """What a node with rates has beside its states: the epoch under way, where it has sensed and not predicted, and its
-    belief then; and encoded messages that it has sent, which their receivers may lack. Raises `SchemaError` if the
-    belief is no value."""
-    return encode_value((() if sensed is None else sensed, tuple(said)))
+Forgotten = tuple[str, str, int, int]
+"""A receiver, a kind of messages, the epoch before which it asks for none any more, and its instance that said so."""
 
 
-def decode_under_way(data: bytes, where: str = "under_way") -> tuple[tuple[int, Value] | None, tuple[Message, ...]]:
+class UnderWay(NamedTuple):
+    """What a node with rates has beside its states."""
+
+    sensed: tuple[int, Value] | None = None  # an epoch in which it has sensed and not predicted, and its belief then
+    said: tuple[Message, ...] = ()  # messages that it has sent, and their receivers may lack
+    forgotten: tuple[Forgotten, ...] = ()  # which of others they do not
+
+
+def encode_under_way(
+    sensed: tuple[int, Value] | None, said: Sequence[bytes], forgotten: Sequence[Forgotten] = ()
+) -> bytes:
+    """The bytes of an `UnderWay`, its messages encoded already. Raises `SchemaError` if the belief is no value."""
+    return encode_value((() if sensed is None else sensed, tuple(said), tuple(forgotten)))
+
+
+def decode_under_way(data: bytes, where: str = "under_way") -> UnderWay:
     """Read what `encode_under_way` gave. Raises `SchemaError` if the bytes are no such thing."""
     if not data:
-        return None, ()
+        return UnderWay()
     value = decode_value(data, where)
-    if not fits(value, tuple[Value, tuple[bytes, ...]]) or not (value[0] == () or fits(value[0], tuple[int, Value])):
-        raise SchemaError("expected an array of what was sensed, and of messages", where)
-    sensed, said = value
-    return sensed or None, tuple(map(decode_message, said))
+    is_it = fits(value, tuple[Value, tuple[bytes, ...], tuple[Forgotten, ...]])
+    if not is_it or not (value[0] == () or fits(value[0], tuple[int, Value])):
+        raise SchemaError("expected an array of what was sensed, of messages, and of what is forgotten", where)
+    sensed, said, forgotten = value
+    return UnderWay(sensed or None, tuple(map(decode_message, said)), forgotten)
 
 
 def decode_roster(data: bytes, where: str = "roster") -> Roster:

@@ -61,6 +61,7 @@ _WORDS = """
 --run RUN: Which launch: its identification, or how that begins, or its hierarchy's name; `hierax ps` lists them.
 --save FILE.rrd: Into a file, for `rerun FILE.rrd`; no viewer.
 --seed S: Of all random numbers.
+--rates: Of hierarchies whose nodes take part now and then, and whose edges have delays.
 --seeds A:B: Which seeds: from A to before B; or one.
 --set PATH=VALUE: Change a value of the file: a name in its parameters, or a path such as nodes.arm.parameters.gain. The
     value is read as YAML. May be given several times.

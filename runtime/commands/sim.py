@@ -9,7 +9,8 @@ from hierax.runtime.commands.show import print_json, show_progress
 from hierax.runtime.loading.nearest import did_you_mean
 
 if TYPE_CHECKING:
-    from hierax.runtime.sim.campaign import Summary
+    from hierax.runtime.sim.campaign import Drawn, Summary
+    from hierax.runtime.sim.scenario import Scenario
 
 SHOWN = 10  # how many violations are shown as text
 
@@ -26,34 +27,37 @@ def sim(
         int | None, option("--epochs", min=1, max=LARGEST, help="In each simulation; by default the seed decides.")
     ] = None,
     jobs: Annotated[int | None, option("--jobs", min=1)] = None,
+    rates: Annotated[bool, option("--rates")] = False,
     trace: Annotated[bool, option("--trace")] = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Simulate runs with crashes, losses, hangs and partitions; shows what does not hold, made small."""
-    from hierax.runtime.sim.campaign import cores, simulate_many
+    from hierax.runtime.sim.campaign import Drawn, cores, simulate_many
     from hierax.runtime.sim.scenario import FAULTS
 
     wanted = _seeds(seeds)
     kinds = _kinds(faults)
+    drawn = Drawn(kinds, epochs, rates)
     if trace:
-        return _trace(wanted, kinds, epochs)
+        return _trace(wanted, drawn)
     began = time.monotonic()
 
     def show(summary: "Summary") -> None:
         show_progress(f"\r{summary.seeds} of {len(wanted)} seeds, {len(summary.violations)} violations", end="")
 
-    summary = simulate_many(wanted, kinds, epochs, jobs or cores(), show)
+    summary = simulate_many(wanted, kinds, epochs, jobs or cores(), show, rated=rates)
     show_progress("")
     if output_format is Format.json:
         print_json(summary.plain())
     else:
         _print(summary, time.monotonic() - began)
         if summary.violations:
-            _print_smallest(min(summary.violations)[0], kinds, epochs)
+            _print_smallest(drawn.scenario(min(summary.violations)[0]))
     if summary.violations:
         return FAILED
-    if len(wanted) >= ENOUGH and kinds == FAULTS and epochs is None and summary.unreached:
-        raise CommandError(f"no seed has reached {', '.join(summary.unreached)}: the scenarios are too tame")
+    unreached = summary.unreached(rates)
+    if len(wanted) >= ENOUGH and kinds == FAULTS and epochs is None and unreached:
+        raise CommandError(f"no seed has reached {', '.join(unreached)}: the scenarios are too tame")
     return OK
 
 
@@ -82,14 +86,13 @@ def _kinds(text: str | None) -> tuple[str, ...]:
     return kinds
 
 
-def _trace(seeds: range, kinds: tuple[str, ...], epochs: int | None) -> int:
+def _trace(seeds: range, drawn: "Drawn") -> int:
     from hierax.runtime.sim.campaign import simulate_quietly
-    from hierax.runtime.sim.scenario import draw_scenario
 
     if len(seeds) != 1:
         raise CommandError("--trace: expected a single seed")
     lines: list[str] = []
-    result = simulate_quietly(draw_scenario(seeds[0], kinds, epochs), lines)
+    result = simulate_quietly(drawn.scenario(seeds[0]), lines)
     print("\n".join(lines))
     print(result.violation or "nothing is wrong")
     return FAILED if result.violation else OK
@@ -108,15 +111,14 @@ def _print(summary: "Summary", wall_s: float) -> None:
         print(f"  seed {seed}: {what}")
 
 
-def _print_smallest(seed: int, kinds: tuple[str, ...], epochs: int | None) -> None:
-    """The first failing seed, as small as it can be made, with the end of its trace."""
+def _print_smallest(failing: "Scenario") -> None:
+    """The first failing scenario, as small as it can be made, with the end of its trace."""
     from hierax.runtime.sim.campaign import fails, shrink, simulate_quietly
-    from hierax.runtime.sim.scenario import draw_scenario
 
-    scenario = shrink(draw_scenario(seed, kinds, epochs), fails)
+    scenario = shrink(failing, fails)
     lines: list[str] = []
     result = simulate_quietly(scenario, lines)
-    print(f"\nseed {seed}, made small: {scenario.epochs} epochs, {len(scenario.roster.nodes)} nodes")
+    print(f"\nseed {scenario.seed}, made small: {scenario.epochs} epochs, {len(scenario.roster.nodes)} nodes")
     for what in (*scenario.faults, *scenario.proposals):
         print(f"  {what}")
     print("\n".join(lines[-TRACE_LINES:]))

@@ -39,6 +39,11 @@ class Rates:
     def takes_part(self, name: str, epoch: int) -> bool:
         return self.turns.get(name, EVERY_EPOCH).include(epoch)
 
+    def next_turn(self, name: str, epoch: int) -> int:
+        """The first epoch after this one in which a node takes part."""
+        turns = self.turns.get(name, EVERY_EPOCH)
+        return turns.last(epoch + turns.every) or turns.offset or turns.every
+
     def is_sensed(self, lower: str, upper: str, epoch: int) -> bool:
         """Whether φ of an edge is applied in an epoch: in its upper node's turns; where it gathers, its lower one's."""
         return self.takes_part(lower if (lower, upper) in self.gathers else upper, epoch)

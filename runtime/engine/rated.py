@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
+from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.core.rates import Rates
 from hierax.runtime.engine.effects import EngineEffects, Saved
 from hierax.runtime.engine.engine import DRAIN, Engine
@@ -53,7 +54,7 @@ class RatedEngine(Engine):
         self._kept: dict[Slot, dict[int, Message]] = {}
         self._greets = comes_back or saved is not None  # whether neighbours may have more than this process knows of
         self._unsent: list[Message] | None = None
-        self._epochs_ahead = EPOCHS_AHEAD + rates.span
+        self._epochs_ahead = max(EPOCHS_AHEAD, 2 * rates.span)  # also of one that comes back, and is behind
         self.drains = False  # whether the epoch under way is a drained one; of the world's, to be set before it begins
         self.overruns: dict[str, int] = {}  # by node above, how often its delayed prediction was waited for
         super().__init__(wiring, effects, saved=saved)
@@ -65,15 +66,16 @@ class RatedEngine(Engine):
         self._gathered: dict[str, list[Value]] = {}
         self._unheard = SaidMessages()
         if saved.under_way:
-            self._remembered, said = decode_under_way(saved.under_way)
-            self._unheard = SaidMessages(said)
+            self._remembered, said, forgotten = decode_under_way(saved.under_way)
+            self._unheard = SaidMessages(said, forgotten)
 
     @property
     def under_way(self) -> bytes:
+        said, forgotten = self._unheard.encoded(), self._unheard.forgotten
         try:
-            return encode_under_way(self._remembered, self._unheard.encoded())
+            return encode_under_way(self._remembered, said, forgotten)
         except SchemaError:  # a belief is looked at when it has predicted; before, it need not be one that can travel
-            return encode_under_way(None, self._unheard.encoded())
+            return encode_under_way(None, said, forgotten)
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
@@ -109,10 +111,10 @@ class RatedEngine(Engine):
 
     def _greet(self, neighbour: str) -> None:
         kind = OBSERVATIONS if neighbour in self.node.above else CONTEXT
-        header = Header(
-            kind, self.name, neighbour, GREETING, 0, self._roster, self.wiring.instance, self.time_s, NO_DIGEST
-        )
-        self._effects.send(Message(header, ()))
+        place = (self._roster, self.wiring.instance)
+        header = Header(kind, self.name, neighbour, GREETING, 0, *place, self.time_s, NO_DIGEST)
+        done = self.epoch - (self.phase is not Phase.DONE) if self.is_world else self._turned
+        self._effects.send(Message(header, (done,)))
 
     def say_again(self, neighbour: str) -> None:
         if self.begun:
@@ -131,6 +133,8 @@ class RatedEngine(Engine):
     # --- what comes
 
     def receive(self, message: Message) -> None:
+        if self.is_world and not self.begun:
+            return  # what comes of the roster on record was for the world's last process; all is said again
         header = message.header
         verdict = self.judge(header)
         if verdict is Verdict.NEW_ROSTER:
@@ -153,11 +157,24 @@ class RatedEngine(Engine):
         self.begun = True
         self._greet_first()
         if header.epoch == GREETING:
+            self._check_sound(header.sender, header.instance, message.payload)
             self._say_what_it_lacks(header.sender)
             return
         self._forget(header)
         self._keep(message)
         self._go_on()
+
+    def _check_sound(self, neighbour: str, instance: int, greeting: Elements) -> None:
+        """Raises `ContradictionError` if a neighbour goes on before what it was done with: nobody has that any more."""
+        done = greeting[0] if greeting and type(greeting[0]) is int else 0
+        if neighbour in self.node.above:
+            is_sound = self._unheard.has_from(neighbour, OBSERVATIONS, done + 1, instance)
+        else:
+            wanted = self._rates.in_force(neighbour, self.name, self._rates.next_turn(neighbour, done))
+            is_sound = self._unheard.has_from(neighbour, CONTEXT, wanted, instance)
+        if not is_sound:
+            what = f"{neighbour} goes on after epoch {done}, and was further when it said so last"
+            raise ContradictionError(f"{self.name}: {what}: its checkpoint was damaged, or somebody speaks in its name")
 
     def compare(self, message: Message) -> None:
         known = self._kept.get((message.header.sender, message.header.kind), {}).get(message.header.epoch)
@@ -181,9 +198,9 @@ class RatedEngine(Engine):
         if header.kind == OBSERVATIONS:
             oldest = self._rates.in_force(peer, self.name, header.epoch)
             for kind in (TASKS, CONTEXT):
-                self._unheard.forget(peer, kind, oldest)
+                self._unheard.forget(peer, kind, oldest, header.instance)
         elif header.kind == CONTEXT and self._rates.takes_part(peer, header.epoch):
-            self._unheard.forget(peer, OBSERVATIONS, header.epoch + 1)
+            self._unheard.forget(peer, OBSERVATIONS, header.epoch + 1, header.instance)
 
     def _keep(self, message: Message) -> None:
         header = message.header

@@ -3,15 +3,17 @@
 from collections.abc import Iterable
 
 from hierax.runtime.engine.wiring import Slot
+from hierax.schemas.checkpoint import Forgotten
 from hierax.schemas.messages import Message, encode_message
 
 
 class SaidMessages:
     """Messages by receiver and kind, and there by epoch; one is encoded when the bytes of all are asked for, once."""
 
-    def __init__(self, messages: Iterable[Message] = ()) -> None:
+    def __init__(self, messages: Iterable[Message] = (), forgotten: Iterable[Forgotten] = ()) -> None:
         self._messages: dict[Slot, dict[int, Message]] = {}
         self._bytes: dict[tuple[Slot, int], bytes] = {}
+        self._forgotten = {(receiver, kind): (before, by) for receiver, kind, before, by in forgotten}
         for message in messages:
             self.keep(message)
 
@@ -20,13 +22,20 @@ class SaidMessages:
         header = message.header
         self._messages.setdefault((header.receiver, header.kind), {})[header.epoch] = message
 
-    def forget(self, receiver: str, kind: str, before: int) -> None:
-        """A neighbour will not ask any more for those of the epochs before this one."""
+    def forget(self, receiver: str, kind: str, before: int, instance: int) -> None:
+        """A neighbour, of this instance, will not ask any more for those of the epochs before this one."""
         slot = (receiver, kind)
         kept = self._messages.get(slot, {})
+        self._forgotten[slot] = max((before, instance), self._forgotten.get(slot, (0, 0)))
         for epoch in [epoch for epoch in kept if epoch < before]:
             del kept[epoch]
             self._bytes.pop((slot, epoch), None)
+
+    def has_from(self, receiver: str, kind: str, epoch: int, instance: int) -> bool:
+        """Whether nothing is forgotten of what was said in an epoch, or later; what the same instance has let be
+        forgotten, it had."""
+        before, had_by = self._forgotten.get((receiver, kind), (0, instance))
+        return before <= epoch or had_by == instance
 
     def to(self, receiver: str) -> list[Message]:
         """All that a neighbour may lack, in the order of epochs."""
@@ -40,6 +49,11 @@ class SaidMessages:
             for slot, kept in self._messages.items()
             for epoch, message in kept.items()
         )
+
+    @property
+    def forgotten(self) -> tuple[Forgotten, ...]:
+        """What neighbours do not ask for any more."""
+        return tuple((*slot, *known) for slot, known in self._forgotten.items())
 
     def _encoded(self, slot: Slot, epoch: int, message: Message) -> bytes:
         data = self._bytes.get((slot, epoch))

@@ -10,6 +10,7 @@ from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Completed, Saved
 from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.table import ROSTERS_AHEAD, Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints, taken_over
@@ -193,7 +194,8 @@ class Member(Host):
         engine = self.engine
         if engine is None:
             return control.Status(self.name, inquiry, 0, 0, (), busy)
-        waits = () if engine.phase is Phase.DONE else engine.waits_for
+        goes_on = isinstance(engine, RatedEngine) and self._world is None  # when there are observations
+        waits = () if engine.phase is Phase.DONE and not goes_on else engine.waits_for
         return control.Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy, engine.wiring.roster)
 
     def linked(self, version: int) -> None:

@@ -250,5 +250,6 @@ class Orders:
             epoch_deadline_s=deployment.epoch_deadline_s,
             start_timeout_s=deployment.start_timeout_s,
             answer_timeout_s=ANSWER_TIMEOUT_S,
+            rated=bool(deployment.rates),
             overlaps=deployment.overlaps,
         )

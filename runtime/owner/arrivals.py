@@ -175,7 +175,7 @@ class Arrivals(OwnerPart):
     def _unsound(self, born: Born, epoch: int, attempt: int) -> str:
         """Why a process with a checkpoint of this attempt of an epoch cannot go on; its node was born so."""
         last, last_attempt = self.progress.epoch, self.progress.last_attempt
-        if epoch == NEVER and last >= born[1]:
+        if epoch == NEVER and last >= born[1] and not self._policy.rated:
             return f"it has no checkpoint, and its node has taken part in epoch {last}"
         if self._policy.overlaps and epoch <= last:
             return ""  # where epochs overlap a node may be behind

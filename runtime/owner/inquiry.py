@@ -65,15 +65,13 @@ class Inquiry:
     def _judge(self, epoch: int, attempt: int) -> None:
         silent = sorted(self.members.roster.nodes.keys() - self._answers.keys())
         busy = sorted(name for name, status in self._answers.items() if status.busy)
-        place = (epoch, attempt, self.members.roster.version)
+        place = self._place_of(Status("", 0, epoch, attempt, (), "", self.members.roster.version))
         waiting = {
             name: status.waits_for
             for name, status in sorted(self._answers.items())
-            if (status.epoch, status.attempt, status.version) == place and status.waits_for
+            if self._place_of(status) == place and status.waits_for
         }
-        behind = sorted(
-            name for name, status in self._answers.items() if (status.epoch, status.attempt, status.version) < place
-        )
+        behind = sorted(name for name, status in self._answers.items() if self._place_of(status) < place)
         ahead = sorted(name for name, status in self._answers.items() if status.epoch > epoch)
         if ahead:  # the world's record was damaged, and what it falls back to is too old
             others = f"{', '.join(ahead)}: in epoch {self._answers[ahead[0]].epoch}"
@@ -89,6 +87,10 @@ class Inquiry:
         else:
             self._resends = 0
             self._blame_link(waiting, behind)
+
+    def _place_of(self, status: Status) -> tuple[int, ...]:
+        """Where all have to be; with rates nodes may be in different epochs, and an epoch has one attempt."""
+        return (status.version,) if self.policy.rated else (status.epoch, status.attempt, status.version)
 
     def _note(
         self, epoch: int, silent: list[str], busy: list[str], waiting: Mapping[str, tuple[tuple[str, str], ...]]
@@ -127,6 +129,8 @@ class Inquiry:
         """What is sent again and again does not arrive: the upper end of the link is taken for lost."""
         self._began_s = self.clock()
         missing = {(sender, name) for name, slots in waiting.items() for sender, _ in slots}
+        if self.policy.rated:  # who waits for somebody who waits is not to blame
+            missing = {(sender, name) for sender, name in missing if sender not in waiting} or missing
         uppers = sorted(
             edge.upper
             for edge in self.members.roster.edges

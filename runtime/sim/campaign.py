@@ -11,14 +11,15 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import active_children, get_context
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.execution.report import Json
 from hierax.runtime.host.streams import started_deaf
 from hierax.runtime.sim.journal import KINDS, Tally
-from hierax.runtime.sim.scenario import FAULTS, Scenario, draw_scenario
+from hierax.runtime.sim.rated import NOT_WITH_RATES, draw_rates
+from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate
 from hierax.schemas.roster import Roster
 
@@ -27,6 +28,21 @@ CHUNK = 50  # how many seeds a worker takes at a time
 Item = TypeVar("Item")
 
 MAX_SHRINKS = 400  # how many smaller scenarios are tried at most
+
+
+class Drawn(NamedTuple):
+    """What scenarios are drawn of."""
+
+    faults: Collection[str] = FAULTS  # kinds that may occur
+    epochs: int | None = None  # in each; None: the seed decides
+    rated: bool = False  # whether nodes have rates
+
+    def scenario(self, seed: int) -> Scenario:
+        if not self.rated:
+            return draw_scenario(seed, self.faults, self.epochs)
+        drawn = draw_scenario(seed, tuple(kind for kind in self.faults if kind in RATED_FAULTS), self.epochs)
+        rates = draw_rates(seed, drawn.roster)
+        return replace(drawn, rates=rates, proposals=(), on_loss={}, left_dead=frozenset(), trials_fail=False)
 
 
 @dataclass
@@ -54,10 +70,11 @@ class Summary:
         """How often each kind occurred, by what it is a kind of; all that there are."""
         return {group: {kind: self.tally[group, kind] for kind in kinds} for group, kinds in KINDS.items()}
 
-    @property
-    def unreached(self) -> list[str]:
-        """The kinds that no seed has reached."""
-        return [f"{group} {kind}" for group, kinds in self.kinds.items() for kind, count in kinds.items() if not count]
+    def unreached(self, rated: bool = False) -> list[str]:
+        """The kinds that no seed has reached, but for those that cannot be where nodes have rates, if they have."""
+        counts = {(group, kind): count for group, kinds in self.kinds.items() for kind, count in kinds.items()}
+        left_out = NOT_WITH_RATES if rated else frozenset()
+        return [" ".join(each) for each, count in counts.items() if not count and each not in left_out]
 
     def plain(self) -> dict[str, Json]:
         return {
@@ -76,10 +93,12 @@ def simulate_many(
     epochs: int | None = None,  # in each; None: the seed decides
     jobs: int = 1,  # processes that share the work
     progress: Callable[[Summary], None] | None = None,  # told the summary so far, now and then
+    *,
+    rated: bool = False,  # whether nodes have rates
 ) -> Summary:
     summary = Summary()
     chunks = [seeds[at : at + CHUNK] for at in range(0, len(seeds), CHUNK)]
-    with closing(_done(chunks, tuple(faults), epochs, min(jobs, max(len(chunks), 1)))) as done:
+    with closing(_done(chunks, Drawn(tuple(faults), epochs, rated), min(jobs, max(len(chunks), 1)))) as done:
         for results in done:
             for result in results:
                 summary.add(result)
@@ -142,11 +161,9 @@ def _without_node(roster: Roster, name: str) -> Roster | None:
     return replace(roster, nodes=nodes, edges=edges)
 
 
-def _done(
-    chunks: Sequence[range], faults: tuple[str, ...], epochs: int | None, jobs: int
-) -> Generator[list[Result], None, None]:
+def _done(chunks: Sequence[range], drawn: Drawn, jobs: int) -> Generator[list[Result], None, None]:
     """What comes of each chunk, in order. Raises `HieraxError` if a process that simulates has ended."""
-    simulated = partial(simulate_chunk, faults=faults, epochs=epochs)
+    simulated = partial(simulate_chunk, drawn=drawn)
     if jobs <= 1:
         yield from map(simulated, chunks)
         return
@@ -166,8 +183,8 @@ def _done(
             raise
 
 
-def simulate_chunk(seeds: range, faults: tuple[str, ...], epochs: int | None) -> list[Result]:
-    return [simulate_quietly(draw_scenario(seed, faults, epochs)) for seed in seeds]
+def simulate_chunk(seeds: range, drawn: Drawn) -> list[Result]:
+    return [simulate_quietly(drawn.scenario(seed)) for seed in seeds]
 
 
 def simulate_quietly(scenario: Scenario, trace: list[str] | None = None) -> Result:

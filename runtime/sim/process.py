@@ -17,6 +17,7 @@ from hierax.runtime.sim.checker import Checker
 from hierax.runtime.sim.inspection import Inspected, Inspector, Turn, forged, inspected_edges
 from hierax.runtime.sim.journal import FAULT, MESSAGE, VERDICT, Journal, control_kind
 from hierax.runtime.sim.network import Clock, Crash, Host, Network, SimStorage
+from hierax.runtime.sim.rated import Unlooked
 from hierax.runtime.sim.scenario import CONTRADICT, FORETELL, RAISE, TORN, TRIAL, Scenario
 from hierax.schemas.control import AskStatus, Control, Order, Prepare, decode_control
 from hierax.schemas.messages import Message, decode_message
@@ -109,7 +110,8 @@ class SimProcess(Host):
         self._rng = Random(f"{around.scenario.seed}/{token}")
         self.is_world = name == around.scenario.roster.world
         checker = around.checker
-        self.inspector = Inspector(name, token, checker.violate, checker.process_of, self._starts, self._calls)
+        looks = Unlooked if around.scenario.rates else Inspector
+        self.inspector = looks(name, token, checker.violate, checker.process_of, self._starts, self._calls)
         storage.tears = self._tears
 
     @property

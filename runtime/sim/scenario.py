@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 from hierax.runtime.core.graph import Pair
+from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.sim.nodes import MODULE
 from hierax.schemas.control import Propose
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
@@ -34,6 +35,9 @@ else, which ends the run.
 
 _SHARES = {RAISE: 0.5, STRAY: 0.3, FORETELL: 0.3, CONTRADICT: 0.16}
 """Faults that are drawn apart from the others, as they end runs, or need a node that fails alone: in how many seeds."""
+
+RATED_FAULTS = tuple(kind for kind in FAULTS if kind not in (RAISE, TRIAL, FORETELL, CONTRADICT))
+"""Those that befall hierarchies with rates, of which no node fails alone."""
 
 _OF_WORLD = {
     WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1, STRAY: 0.5, CONTRADICT: 0.3
@@ -107,6 +111,7 @@ class Scenario:
     # How long an epoch may take before it is asked who waits for whom; None: for ever, so that nothing but what befalls
     # the run itself can make it go on.
     epoch_deadline_s: float | None = 0.3
+    rates: Rates = NO_RATES  # with them nothing is changed, nobody detached, and of what is forged strays only
 
     @property
     def alone(self) -> tuple[str, ...]:

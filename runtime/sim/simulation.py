@@ -11,6 +11,7 @@ from hierax.runtime.sim.checker import Checker, ViolationError
 from hierax.runtime.sim.journal import CHANGE, FAULT, Journal, Tally
 from hierax.runtime.sim.network import Clock, Network
 from hierax.runtime.sim.process import SimProcess, Surroundings
+from hierax.runtime.sim.rated import RatedChecker
 from hierax.runtime.sim.scenario import BREAK, Proposal, Scenario
 from hierax.runtime.sim.supervisor import SimSupervisor, link_first
 from hierax.schemas.errors import SchemaError
@@ -125,7 +126,7 @@ class Simulation:
     def __init__(self, scenario: Scenario, trace: list[str] | None) -> None:
         clock = Clock()
         journal = Journal(clock, trace)
-        checker = Checker(scenario, journal.trace)
+        checker = (RatedChecker if scenario.rates else Checker)(scenario, journal.trace)
         network = Network(clock, Random(f"{scenario.seed}/network"), journal, checker)
         self._scenario = scenario
         self.around = Surroundings(scenario, clock, journal, checker, network)  # what the processes stand in

@@ -113,8 +113,10 @@ def test_any_msgpack_library_reads_them() -> None:
 
 
 def test_what_is_inside_comes_back() -> None:
-    assert decode_under_way(b"") == (None, ())
-    sensed, said = decode_under_way(encode_under_way((7, {"lost": False}), [MESSAGE]))
+    assert decode_under_way(b"") == (None, (), ())
+    forgotten = (("arm", "obs", 5, 2),)
+    sensed, said, before = decode_under_way(encode_under_way((7, {"lost": False}), [MESSAGE], forgotten))
+    assert before == forgotten
     assert sensed == (7, {"lost": False})
     assert [encode_message(message) for message in said] == [MESSAGE]
     assert decode_roster(WORLD.roster) == ROSTER
@@ -153,8 +155,8 @@ CHECKPOINT_INSIDE: list[tuple[dict[str, Any], str, str]] = [
     ({"now": encode_value((1, "wait", "go"))}, "now.actions", "expected an array of elements, got 'go'"),
     ({"under_way": b"\xc1"}, "under_way", "not one msgpack value"),
     *(
-        ({"under_way": encode_value(value)}, "under_way", "expected an array of what was sensed, and of messages")
-        for value in (None, (), ((), "text"), ((), (1,)), (1, ()), (("2", None), ()), ((), (), ()))
+        ({"under_way": encode_value(value)}, "under_way", "expected an array of what was sensed, of mess")
+        for value in (None, (), ((), ()), ((), "text", ()), ((), (1,), ()), (1, (), ()), (("2", None), (), ()))
     ),
 ]
 WORLD_INSIDE: list[tuple[dict[str, Any], str, str]] = [

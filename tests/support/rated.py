@@ -95,7 +95,7 @@ class RatedNetwork:
         self.done: dict[str, dict[int, tuple[bytes, bytes]]] = {name: {} for name in hierarchy.nodes}
         self.saved: dict[str, Saved] = {}
         self.killed = 0
-        self._hierarchy, self._rates = hierarchy, rates
+        self.hierarchy, self.rates = hierarchy, rates
         self._version, self._instances = 0, dict.fromkeys(hierarchy.nodes, 0)
         self.engines: dict[str, RatedEngine] = {}
         for name in hierarchy.nodes:
@@ -108,10 +108,10 @@ class RatedNetwork:
         return self.engines[self._world]
 
     def _wiring(self, name: str) -> Wiring:
-        edges = self._hierarchy.bound_edges
+        edges = self.hierarchy.bound_edges
         tasking = frozenset(pair for pair, edge in edges.items() if edge.task)
         place = Place(self._version, instances=dict(self._instances), tasking=tasking)
-        return Wiring(self._hierarchy.bound[name], tuple(edges.values()), place)
+        return Wiring(self.hierarchy.bound[name], tuple(edges.values()), place)
 
     def run(self, epochs: int, drains: bool = False) -> None:
         """Go on until so many epochs are committed, and all is said; `drains`: the last one is a drained one."""
@@ -120,7 +120,7 @@ class RatedNetwork:
                 if not self._step(epochs, drains):
                     break
             except KilledError as killed:
-                self._replace(str(killed), epochs, drains)
+                self.replace(str(killed), epochs, drains)
 
     def _step(self, epochs: int, drains: bool) -> bool:
         may_begin = self.world.phase is Phase.DONE and self.world.epoch < epochs
@@ -142,7 +142,7 @@ class RatedNetwork:
         self.saved[self._world] = Saved(world.epoch, 0, world.state, world.state, world.under_way)
         world.begin()
 
-    def _replace(self, name: str, epochs: int, drains: bool) -> None:
+    def replace(self, name: str, epochs: int, drains: bool = False) -> None:
         """Another process comes, as the owner has it: all are told of a version, and the world takes it up."""
         self.killed += 1
         self._version += 1
@@ -155,7 +155,7 @@ class RatedNetwork:
         killing, self.killing = self.killing, 0.0
         saved = self.saved.get(name)
         wiring = self._wiring(name)
-        self.engines[name] = RatedEngine(wiring, _Site(self, name), rates=self._rates, saved=saved, comes_back=True)
+        self.engines[name] = RatedEngine(wiring, _Site(self, name), rates=self.rates, saved=saved, comes_back=True)
         for other in self.rng.sample(sorted(self.engines), len(self.engines)):
             self.engines[other].prepare(self._wiring(other))
         self.killing = killing
@@ -173,7 +173,7 @@ class RatedNetwork:
         try:
             go()
         except KilledError as killed:
-            self._replace(str(killed), epochs, drains)
+            self.replace(str(killed), epochs, drains)
 
     def states(self) -> dict[str, bytes]:
         """Of all nodes, encoded."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import random
+from collections import deque
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import rated_mutations
 from support.direct import Direct
 from support.hierarchies import random_hierarchy, random_order
 from support.rated import RatedNetwork, random_rates
@@ -14,10 +16,13 @@ from support.sweep import examples
 
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import encode_state
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.rates import NO_RATES, Rates, Turns
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
+from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.messages import Message
@@ -158,3 +163,65 @@ def test_a_planted_mistake_is_found(mistake: str, monkeypatch: pytest.MonkeyPatc
         if network.commits != commits_of(direct, hierarchy.world):
             return
     raise AssertionError("no seed has found it")
+
+
+def killed(seed: int) -> RatedNetwork:
+    """A network whose processes die."""
+    hierarchy = random_hierarchy(seed, 5)
+    return RatedNetwork(hierarchy, random_rates(seed, hierarchy), seed, killing=0.02)
+
+
+@pytest.mark.parametrize("mistake", rated_mutations.MISTAKES)
+def test_a_planted_mistake_shows_when_processes_die(mistake: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(*rated_mutations.MISTAKES[mistake])
+    for seed in range(40):
+        network = killed(seed)
+        direct = Direct(network.hierarchy, network.rates)
+        try:
+            network.run(EPOCHS)
+        except ContradictionError:
+            return
+        if network.commits != commits_of(direct, network.hierarchy.world):
+            return
+    raise AssertionError("no seed has found it")
+
+
+def _otherwise_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever observes in an epoch for a second time believes what it did before."""
+    observe, observed = Engine._observe, set[tuple[int, str, int]]()
+
+    def unsteady(engine: Engine, observations: Elements) -> Value:
+        key = (id(engine._effects.network), engine.name, engine.epoch)  # type: ignore[attr-defined]
+        if key in observed:
+            return engine.start.belief
+        observed.add(key)
+        return observe(engine, observations)
+
+    monkeypatch.setattr(Engine, "_observe", unsteady)
+
+
+def test_what_was_said_counts_also_where_operators_give_something_else_each_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _otherwise_each_time(monkeypatch)
+    for seed in range(25):
+        network = killed(seed)
+        network.run(EPOCHS)
+        assert len(network.commits) == EPOCHS
+    monkeypatch.setattr(RatedEngine, "_observe", rated_mutations.senses_anew)
+    with pytest.raises(ContradictionError, match="say different things"):
+        deque((killed(seed).run(EPOCHS) for seed in range(40)), maxlen=0)
+
+
+def test_a_process_that_goes_on_before_what_it_was_done_with_is_noticed() -> None:
+    """Its newest checkpoint was damaged, and the one before stands in for it."""
+    hierarchy = random_hierarchy(3, 4)
+    rates = Rates(delays=dict.fromkeys(hierarchy.bound_edges, 2))
+    network = RatedNetwork(hierarchy, rates, 3)
+    network.run(6)
+    name = next(name for name in network.engines if name != hierarchy.world)
+    initial = RatedNetwork(hierarchy, rates, 3).engines[name].state
+    network.saved[name] = Saved(0, 0, initial, initial)
+    network.replace(name, 6)
+    with pytest.raises(ContradictionError, match=f"{name} goes on after epoch 0, and was further"):
+        network.run(9)

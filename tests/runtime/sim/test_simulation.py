@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,7 +16,7 @@ from support.sweep import examples
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.engine.table import Verdict
-from hierax.runtime.sim.campaign import fails, shrink, simulate_many, simulate_quietly
+from hierax.runtime.sim.campaign import Drawn, fails, shrink, simulate_many, simulate_quietly
 from hierax.runtime.sim.scenario import CONTRADICT, DAMAGE, FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import simulate
 from hierax.schemas.control import Control
@@ -26,9 +27,35 @@ SEEDS = examples(150, 300)
 def test_nothing_is_wrong_under_any_faults() -> None:
     summary = simulate_many(range(SEEDS))
     assert not summary.violations, summary.violations[:5]
-    assert not summary.unreached
+    assert not summary.unreached()
     assert summary.epochs > 5 * SEEDS
     assert summary.answers["made"] > SEEDS // 5
+
+
+def test_nothing_is_wrong_with_rates_and_delays() -> None:
+    summary = simulate_many(range(2 * SEEDS), rated=True)
+    assert not summary.violations, summary.violations[:5]
+    assert not summary.unreached(rated=True)
+    assert summary.epochs > 8 * SEEDS
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        1,  # an older checkpoint stands in for one that was damaged, and what it lacks is gone
+        412,  # likewise, of a neighbour that was killed, too
+        490,  # what was for the world's last process comes before the roster does with the new one
+        5879,  # what is said again is lost
+        10873,  # a checkpoint is damaged after the last epoch
+    ],
+)
+def test_what_simulations_with_rates_have_found_holds(seed: int) -> None:
+    assert not simulate_quietly(Drawn(rated=True).scenario(seed)).violation
+
+
+def test_damage_that_cannot_be_mended_with_rates_is_said() -> None:
+    result = simulate_quietly(Drawn(rated=True).scenario(1))
+    assert re.fullmatch(r".*goes on after epoch 0, and was further when it said so last.*", result.stopped)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
