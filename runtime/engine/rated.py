@@ -234,8 +234,10 @@ class RatedEngine(Engine):
         """Of whom there is no input with which the node could go on."""
         if self.phase is Phase.DONE:
             return [slot for slot in self.wiring.below if not self._has(slot, self.epoch + 1)]
-        in_force = [slot for slot in self.wiring.above if self._takes_part and self._in_force(slot) is None]
-        return in_force + (self._under_way_above() if self.drains else [])
+        return self._not_in_force() + (self._under_way_above() if self.drains else [])
+
+    def _not_in_force(self) -> list[Slot]:
+        return [slot for slot in self.wiring.above if self._takes_part and self._in_force(slot) is None]
 
     def _under_way_above(self) -> list[Slot]:
         """Of a drained epoch, who is not done with it."""
@@ -302,9 +304,9 @@ class RatedEngine(Engine):
 
     def _note_overruns(self) -> None:
         """Who above has not come to an end in the epochs that a delay gives it."""
-        late = {sender for sender, _ in self.wiring.above if (self.name, sender) in self._rates.delays}
-        for sender in late.intersection(sender for sender, _ in self._lacking()):
-            self.overruns[sender] = self.overruns.get(sender, 0) + 1
+        for sender in {sender for sender, _ in self._not_in_force()}:
+            if (self.name, sender) in self._rates.delays:
+                self.overruns[sender] = self.overruns.get(sender, 0) + 1
 
     def _predict(self) -> None:
         if not self._takes_part:  # in a drained epoch those above are done

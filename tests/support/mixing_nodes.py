@@ -6,6 +6,9 @@ import time
 from hashlib import sha256
 from pathlib import Path
 
+import anyio
+import numpy as np
+
 from hierax.runtime import Elements, Node, Tick, Value, World
 
 MIXING = """
@@ -68,6 +71,24 @@ class Mixing(Node):
 
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick) -> Value:
         return _mixed(tick.epoch, tick.rng.random(), context, actions, belief)
+
+
+class Asking(Mixing):
+    """Waits for somebody else, as an `async def` does."""
+
+    async def observe(self, observations: Elements, belief: Value) -> Value:  # type: ignore[override]
+        await anyio.sleep(self.takes_s)
+        return _mixed(observations, belief)
+
+
+class Computing(Mixing):
+    """Computes for as long."""
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        begun_s, matrix = time.monotonic(), np.eye(200)
+        while time.monotonic() - begun_s < self.takes_s:
+            matrix = matrix @ matrix
+        return _mixed(observations, belief)
 
 
 def told(belief: Value) -> Elements:

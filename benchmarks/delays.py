@@ -1,0 +1,105 @@
+"""A loop of three nodes at 100 Hz, and above it one that takes 0.3 s: what the loop notices of it.
+
+    python benchmarks/delays.py                # a minute and a half
+    python benchmarks/delays.py --rounds 5
+
+In turn, `--rounds` times: without the slow node; with it, each 60th epoch and with 60 epochs of time; and with 20 of
+both, which is too little, so that it is waited for. Then the same with an operator that computes in numpy. Prints how
+long epochs take, ratios to those without it, and overruns; digests have to be those of `hierax run`. Exit code 1 where
+one is not, or where there are overruns at 60, or none at 20.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+TESTS = Path(__file__).parents[1] / "tests"
+EPOCHS = 600
+LOOP = """
+hierarchy: deliberating
+world: world
+nodes:
+  world: {class: "support.mixing_nodes:MixingWorld", rate_hz: 100}
+  reflex: {class: "support.mixing_nodes:Mixing"}
+  posture: {class: "support.mixing_nodes:Mixing"}
+edges:
+  world -> reflex: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
+  reflex -> posture: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
+"""
+SLOW = """
+hierarchy: deliberating
+world: world
+nodes:
+  world: {class: "support.mixing_nodes:MixingWorld", rate_hz: 100}
+  reflex: {class: "support.mixing_nodes:Mixing"}
+  posture: {class: "support.mixing_nodes:Mixing"}
+  mind: {class: "support.mixing_nodes:CLASS", parameters: {takes_s: 0.3}, every: EVERY}
+edges:
+  world -> reflex: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
+  reflex -> posture: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
+  posture -> mind: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", delay: EVERY}
+"""
+CASES = {
+    "the loop alone": LOOP,
+    **{
+        f"{kind}, every {every}": SLOW.replace("CLASS", name).replace("EVERY", str(every))
+        for kind, name in (("waits for a service", "Asking"), ("computes", "Computing"))
+        for every in (60, 20)
+    },
+}
+
+
+def main() -> int:
+    """Launch them in turn, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    found: dict[str, list[dict[str, Any]]] = {case: [] for case in CASES}
+    wanted = {case: said("run", text)["digest"] for case, text in CASES.items()}
+    faults = 0
+    for _ in range(options.rounds):
+        for case, text in CASES.items():
+            found[case].append(said("launch", text))
+            faults += found[case][-1]["digest"] != wanted[case]
+    print(f"{'':28} {'p50, µs':>8} {'p99, µs':>8}   to the loop alone   overruns")
+    for case, reports in found.items():
+        p50, p99 = ([each["epoch_us"][what] for each in reports] for what in ("p50", "p99"))
+        alone = [[each["epoch_us"][what] for each in found["the loop alone"]] for what in ("p50", "p99")]
+        pairs = zip((p50, p99), alone, strict=True)
+        ratios = (statistics.median(ours) / statistics.median(theirs) for ours, theirs in pairs)
+        overruns = [sum(overruns_of(each).values()) for each in reports]
+        too_few = case.endswith(" 20") and not min(overruns)
+        faults += too_few or (case.endswith(" 60") and max(overruns) > 0)
+        row = f"{case:28} {statistics.median(p50):8.0f} {statistics.median(p99):8.0f}"
+        print(row, *(f"{ratio:8.2f}" for ratio in ratios), f"  {overruns}")
+    return int(faults > 0)
+
+
+def overruns_of(report: dict[str, Any]) -> dict[str, int]:
+    """By who has waited."""
+    overruns = (report.get("timing") or {}).get("overruns", {})
+    return dict(overruns.get("mind", {}))
+
+
+def said(command: str, text: str) -> dict[str, Any]:
+    """What a command says of a deployment."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "deliberating.yaml"
+        file.write_text(text, encoding="utf-8")
+        words = [sys.executable, "-m", "hierax.runtime.commands.entry", command, str(file), "--format", "json"]
+        words += ["--epochs", str(EPOCHS)]
+        environment = {**os.environ, "PYTHONPATH": str(TESTS)}
+        done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    return dict(json.loads(done.stdout))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
