@@ -78,6 +78,8 @@ class Owner(OwnerPart):
             elif plan is None or ready or plan.stage is Stage.PREPARE:
                 progress.drains = ready
                 progress.begin()
+        elif self._policy.rated and self.members.roster.world not in self.members.lost:
+            progress.begin()  # the world itself waits for who is lost, if it needs it
         if not progress.running:
             self._effects.write_record()  # nobody hears of a commit that a crash could undo
         self.members.dismiss_outlived()

@@ -138,3 +138,26 @@ def test_a_node_whose_process_ends_is_late_only_while_another_one_comes() -> Non
         assert not any(supervisor._is_late(child) for child.state in ProcessState)
 
     supervised(main)
+
+
+def test_of_a_process_whose_end_is_just_noticed_nobody_says_that_none_comes_for_it() -> None:
+    """The world's process comes back at that moment: what is to become of the other one is not decided yet."""
+    told: list[Control] = []
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        async def send(word: Control) -> None:
+            told.append(word)
+
+        supervisor.send_to_owner = send  # type: ignore[method-assign]
+        beat(supervisor, {"world": "w", "top": "t"}, ("world", "top"))
+        child = Child(cast(NodeOrder, Order()), cast(Any, Process()), cast(Any, None))
+        child.code = -9
+        supervisor.current["top"] = supervisor._children["t"] = child
+        await supervisor._send_deaths({"t": "t"})
+        assert told == [Lost("top", "t", True)]
+        child.state = ProcessState.ENDED
+        child.ended.set()
+        await supervisor._send_deaths({})
+        assert told[1:] == [Lost("top", "", False)]
+
+    supervised(main)
