@@ -12,43 +12,39 @@ one is not, or where there are overruns at 60, or none at 20.
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import statistics
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-TESTS = Path(__file__).parents[1] / "tests"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from support.launched import hierax
+
 EPOCHS = 600
-LOOP = """
+NODES = """
 hierarchy: deliberating
 world: world
 nodes:
   world: {class: "support.mixing_nodes:MixingWorld", rate_hz: 100}
   reflex: {class: "support.mixing_nodes:Mixing"}
   posture: {class: "support.mixing_nodes:Mixing"}
+"""
+EDGES = """
 edges:
   world -> reflex: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
   reflex -> posture: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
 """
-SLOW = """
-hierarchy: deliberating
-world: world
-nodes:
-  world: {class: "support.mixing_nodes:MixingWorld", rate_hz: 100}
-  reflex: {class: "support.mixing_nodes:Mixing"}
-  posture: {class: "support.mixing_nodes:Mixing"}
+MIND = """
   mind: {class: "support.mixing_nodes:CLASS", parameters: {takes_s: 0.3}, every: EVERY}
-edges:
-  world -> reflex: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
-  reflex -> posture: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"}
+"""
+ABOVE = """
   posture -> mind: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", delay: EVERY}
 """
+SLOW = NODES + MIND + EDGES + ABOVE
 CASES = {
-    "the loop alone": LOOP,
+    "the loop alone": NODES + EDGES,
     **{
         f"{kind}, every {every}": SLOW.replace("CLASS", name).replace("EVERY", str(every))
         for kind, name in (("waits for a service", "Asking"), ("computes", "Computing"))
@@ -94,11 +90,7 @@ def said(command: str, text: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "deliberating.yaml"
         file.write_text(text, encoding="utf-8")
-        words = [sys.executable, "-m", "hierax.runtime.commands.entry", command, str(file), "--format", "json"]
-        words += ["--epochs", str(EPOCHS)]
-        environment = {**os.environ, "PYTHONPATH": str(TESTS)}
-        done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-    return dict(json.loads(done.stdout))
+        return hierax(command, str(file), "--epochs", str(EPOCHS))
 
 
 if __name__ == "__main__":

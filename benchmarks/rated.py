@@ -14,11 +14,10 @@ import time
 from hashlib import sha256
 from pathlib import Path
 
+from links import OPTIONS, ROOT
 from support.launched import Launched, hierax
 from support.mixing_nodes import written
 
-ROOT = Path(__file__).resolve().parents[1]
-OPTIONS = ("epoch_deadline_s=null", "restart.max_restarts=0", "restart.restart_delay=0.0")
 PER_LAUNCH = 10
 CELLS = {
     "servo": (
@@ -54,19 +53,20 @@ def kill_with_rates(options: argparse.Namespace) -> list[str]:
     rng = random.Random(options.seed)
     faults: list[str] = []
     for name, ((path, epochs), nodes, rates) in CELLS.items():
-        file = path or written(Path(tempfile.mkdtemp()))
-        words = [str(file), "--epochs", str(epochs)]
-        words += [part for option in (*rates, *OPTIONS) for part in ("--set", option)]
-        wanted, kills = _said(hierax("run", *words)), 0
-        while kills < options.rated // len(CELLS):
-            with tempfile.TemporaryDirectory() as folder:
-                launch = Launched(Path(folder), *words)
-                launch.until_epoch(2)
-                kills += _kill(launch, nodes, rng, min(PER_LAUNCH, options.rated // len(CELLS) - kills), epochs)
-                said = _said(json.loads(launch.end(300.0) or "{}"))
-                if said != wanted:
-                    what = f"exit code {launch.process.returncode}, {said}, not {wanted}"
-                    faults.append(f"rates, {name}, seed {options.seed}: {what}\n{launch.err}")
+        kills, wanted_kills = 0, options.rated // len(CELLS)
+        with tempfile.TemporaryDirectory() as place:
+            words = [str(path or written(Path(place))), "--epochs", str(epochs)]
+            words += [part for option in (*rates, *OPTIONS) for part in ("--set", option)]
+            wanted = _said(hierax("run", *words))
+            while kills < wanted_kills:
+                with tempfile.TemporaryDirectory() as folder:
+                    launch = Launched(Path(folder), *words)
+                    launch.until_epoch(2)
+                    kills += _kill(launch, nodes, rng, min(PER_LAUNCH, wanted_kills - kills), epochs)
+                    said = _said(json.loads(launch.end(300.0) or "{}"))
+                    if said != wanted:
+                        what = f"exit code {launch.process.returncode}, {said}, not {wanted}"
+                        faults.append(f"rates, {name}, seed {options.seed}: {what}\n{launch.err}")
         print(f"{name:12} {kills} kills at random in {', '.join(nodes)}", flush=True)
     return faults
 

@@ -54,6 +54,7 @@ _WORDS = """
 --overwrite: Replace the output or recording of another run; of other files none is touched.
 --port PORT: Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.
 --processes N: Put the nodes into so many processes, as many into each, or by --traffic; else as the file says.
+--rates: Of hierarchies whose nodes take part now and then, and whose edges have delays.
 --record FILE: Record the run into this MCAP file. Exit code 1 if something said is not in it.
 --resume DIR: Go on with the run whose checkpoints are in this folder, at its next epoch. With FILE, begin there where
     there is none, and end well where it is over.
@@ -61,7 +62,6 @@ _WORDS = """
 --run RUN: Which launch: its identification, or how that begins, or its hierarchy's name; `hierax ps` lists them.
 --save FILE.rrd: Into a file, for `rerun FILE.rrd`; no viewer.
 --seed S: Of all random numbers.
---rates: Of hierarchies whose nodes take part now and then, and whose edges have delays.
 --seeds A:B: Which seeds: from A to before B; or one.
 --set PATH=VALUE: Change a value of the file: a name in its parameters, or a path such as nodes.arm.parameters.gain. The
     value is read as YAML. May be given several times.

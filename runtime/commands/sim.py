@@ -9,7 +9,7 @@ from hierax.runtime.commands.show import print_json, show_progress
 from hierax.runtime.loading.nearest import did_you_mean
 
 if TYPE_CHECKING:
-    from hierax.runtime.sim.campaign import Drawn, Summary
+    from hierax.runtime.sim.campaign import Scenarios, Summary
     from hierax.runtime.sim.scenario import Scenario
 
 SHOWN = 10  # how many violations are shown as text
@@ -32,27 +32,27 @@ def sim(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Simulate runs with crashes, losses, hangs and partitions; shows what does not hold, made small."""
-    from hierax.runtime.sim.campaign import Drawn, cores, simulate_many
+    from hierax.runtime.sim.campaign import Scenarios, cores, simulate_many
     from hierax.runtime.sim.scenario import FAULTS
 
     wanted = _seeds(seeds)
     kinds = _kinds(faults)
-    drawn = Drawn(kinds, epochs, rates)
+    scenarios = Scenarios(kinds, epochs, rates)
     if trace:
-        return _trace(wanted, drawn)
+        return _trace(wanted, scenarios)
     began = time.monotonic()
 
     def show(summary: "Summary") -> None:
         show_progress(f"\r{summary.seeds} of {len(wanted)} seeds, {len(summary.violations)} violations", end="")
 
-    summary = simulate_many(wanted, kinds, epochs, jobs or cores(), show, rated=rates)
+    summary = simulate_many(wanted, scenarios, jobs or cores(), show)
     show_progress("")
     if output_format is Format.json:
         print_json(summary.plain())
     else:
         _print(summary, time.monotonic() - began)
         if summary.violations:
-            _print_smallest(drawn.scenario(min(summary.violations)[0]))
+            _print_smallest(scenarios.draw(min(summary.violations)[0]))
     if summary.violations:
         return FAILED
     unreached = summary.unreached(rates)
@@ -86,13 +86,13 @@ def _kinds(text: str | None) -> tuple[str, ...]:
     return kinds
 
 
-def _trace(seeds: range, drawn: "Drawn") -> int:
+def _trace(seeds: range, scenarios: "Scenarios") -> int:
     from hierax.runtime.sim.campaign import simulate_quietly
 
     if len(seeds) != 1:
         raise CommandError("--trace: expected a single seed")
     lines: list[str] = []
-    result = simulate_quietly(drawn.scenario(seeds[0]), lines)
+    result = simulate_quietly(scenarios.draw(seeds[0]), lines)
     print("\n".join(lines))
     print(result.violation or "nothing is wrong")
     return FAILED if result.violation else OK

@@ -297,6 +297,13 @@ class Deployment:
                 self.rated_at, f"rates are for 'run' and 'launch'; {whose} does not know them yet"
             )
 
+    def check_rated(self, is_recorded: bool) -> None:
+        """Raise `DeploymentError` where the file has rates, and neither `run` nor `launch` knows what is with them."""
+        if is_recorded:
+            self.refuse_rates("a recording")
+        if any(terms.fails_alone for terms in self.terms.values()):
+            self.refuse_rates("'on_loss: detach'")
+
     def place(self, where: str) -> str:
         """``file:line`` of a path such as ``nodes.world.class``, or the ``--set`` that gave it."""
         return self.document.where(self.document.keys(where))

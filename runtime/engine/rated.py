@@ -237,7 +237,7 @@ class RatedEngine(Engine):
         return self._not_in_force() + (self._under_way_above() if self.drains else [])
 
     def _not_in_force(self) -> list[Slot]:
-        return [slot for slot in self.wiring.above if self._takes_part and self._in_force(slot) is None]
+        return [slot for slot in self.wiring.above if self._in_force(slot) is None] if self._takes_part else []
 
     def _under_way_above(self) -> list[Slot]:
         """Of a drained epoch, who is not done with it."""

@@ -93,12 +93,9 @@ class SingleRun:
         acts: bool = True,  # whether the world moves its actuators
         turn: Callable[[str], None] | None = None,  # told whose turn it is, before it
     ) -> None:
-        if record is not None:
-            deployment.refuse_rates("a recording")
+        deployment.check_rated(record is not None)
         if schedule:
             deployment.refuse_rates("a change (--at)")
-        if any(terms.fails_alone for terms in deployment.terms.values()):
-            deployment.refuse_rates("'on_loss: detach'")
         if output is not None:
             write_roster(output, deployment.roster)
         self._deployment, self._seed, self._output, self._record = deployment, seed, output, record

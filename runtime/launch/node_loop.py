@@ -143,7 +143,7 @@ class NodeLoop:
     port: ZenohPort  # of the node
     words: ControlQueue  # what others say to the member, or to the owner
     stopping: threading.Event  # set when it is to stop
-    last: int = 0  # then what it has to be done with: the run's last epoch
+    last: int | None = None  # then the run's last epoch, with which it has to be done; None: with nothing
     _ticks: bool = False
     _ticked_s: float = field(default_factory=time.monotonic)
     _moved_s: float = field(default_factory=time.monotonic)
@@ -205,11 +205,11 @@ class NodeLoop:
                 time.sleep(min(wait_s, NAP_S))
 
     def _has_caught_up(self) -> bool:
-        """Whether a node with rates, which may be behind the world, is done with all there is."""
+        """Whether a node with rates, which may be behind the world, is done with all that it is to do."""
         engine = self.member.engine
-        if not isinstance(engine, RatedEngine):
+        if self.last is None or not isinstance(engine, RatedEngine):
             return True
-        return engine.epoch >= self.last and (engine.phase is Phase.DONE or self.last == 0)
+        return engine.epoch >= self.last and engine.phase is Phase.DONE
 
     def _run_freely(self) -> None:
         """Do the same as in step, but the node takes its turns when they are due, on the newest of what has come."""

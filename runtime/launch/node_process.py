@@ -179,14 +179,12 @@ class _Process:
 
 
 def _obey(worker: NodeWorker, command: Value) -> None:
-    if command == STOP:
-        worker.stop()
-    elif command == FINISH:
+    if command == FINISH:
         worker.finish()
     elif isinstance(command, dict) and KEPT in command:
         worker.kept(command[KEPT])
     elif isinstance(command, dict) and STOP in command:
-        worker.finish_up(command[STOP])
+        worker.stop(command[STOP])
     elif isinstance(command, dict):
         worker.leave(command[LEAVE])
     else:

@@ -100,16 +100,13 @@ class NodeWorker:
         engine = None if self._member is None else self._member.engine
         return (0, 0) if engine is None else (engine.epoch, engine.attempt)
 
-    def stop(self) -> None:
-        """Make the node's thread come to its end."""
+    def stop(self, last: int | None = None) -> None:
+        """Make the node's thread come to its end: at once, or when all is done up to the last epoch, as it is
+        committed."""
+        if self._loop is not None:
+            self._loop.last = last
         self._stopping.set()
         self._wake()
-
-    def finish_up(self, epoch: int) -> None:
-        """Make the node's thread come to its end when all is done up to the last epoch, which is committed."""
-        if self._loop is not None:
-            self._loop.last = epoch
-        self.stop()
 
     def finish(self) -> None:
         """Make the run come to its end, if this is the world's process."""
@@ -120,8 +117,6 @@ class NodeWorker:
     def leave(self, epoch: int | None) -> None:
         """Make the node's thread come to its end at once, and report of an epoch; None: of the last one committed."""
         self._leaves, self._epoch = True, epoch
-        if self._loop is not None:
-            self._loop.last = 0
         self.stop()
 
     def kept(self, number: int) -> None:

@@ -313,7 +313,7 @@ class RosterSupervisor(ProcessSupervisor):
         again = await self.start_together([self._order_again(child, tokens[child.name], living) for child in children])
         for child in again:
             if child.order.life == frames.TO_REPORT:
-                await child.send(frames.STOP)
+                await child.send({frames.STOP: self.epoch})
         self._heard_s = self._clock()
         if self._world in tokens:
             await self._send_deaths(living)

@@ -72,10 +72,7 @@ def launch(
     SIGTERM or SIGHUP broke it off, all processes gone; before all nodes were up `KeyboardInterrupt`.
     """
     begun_s = time.perf_counter()
-    if recording is not None:
-        deployment.refuse_rates("a recording")
-    if any(terms.fails_alone for terms in deployment.terms.values()):
-        deployment.refuse_rates("'on_loss: detach'")
+    deployment.check_rated(recording is not None)
     with (forks or ForkServer()).start() as forks, ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
         found = stack.enter_context(reached(deployment))

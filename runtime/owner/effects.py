@@ -21,7 +21,7 @@ class OwnerPolicy:
     start_timeout_s: float = 30.0  # how long a new node's process may take to come up
     answer_timeout_s: float = 5.0  # how long a process may take to answer the owner
     rated: bool = False  # whether nodes have rates, so that one may not have begun when others have done epochs
-    overlaps: bool = False  # whether epochs overlap (a staleness): the roster changes after a drained epoch
+    overlaps: bool = False  # whether epochs overlap (a staleness, rates): the roster changes after a drained epoch
 
 
 class OwnerEffects(ABC):

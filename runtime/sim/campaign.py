@@ -18,7 +18,7 @@ from hierax.runtime.core.graph import check_graph
 from hierax.runtime.execution.report import Json
 from hierax.runtime.host.streams import started_deaf
 from hierax.runtime.sim.journal import KINDS, Tally
-from hierax.runtime.sim.rated import NOT_WITH_RATES, draw_rates
+from hierax.runtime.sim.rated import NOT_WITH_RATES, rates_of
 from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate
 from hierax.schemas.roster import Roster
@@ -30,19 +30,22 @@ Item = TypeVar("Item")
 MAX_SHRINKS = 400  # how many smaller scenarios are tried at most
 
 
-class Drawn(NamedTuple):
-    """What scenarios are drawn of."""
+class Scenarios(NamedTuple):
+    """Of what kind they are, of all seeds."""
 
     faults: Collection[str] = FAULTS  # kinds that may occur
     epochs: int | None = None  # in each; None: the seed decides
     rated: bool = False  # whether nodes have rates
 
-    def scenario(self, seed: int) -> Scenario:
+    def draw(self, seed: int) -> Scenario:
         if not self.rated:
             return draw_scenario(seed, self.faults, self.epochs)
         drawn = draw_scenario(seed, tuple(kind for kind in self.faults if kind in RATED_FAULTS), self.epochs)
-        rates = draw_rates(seed, drawn.roster)
+        rates = rates_of(seed, drawn.roster)
         return replace(drawn, rates=rates, proposals=(), on_loss={}, left_dead=frozenset(), trials_fail=False)
+
+
+ANY = Scenarios()
 
 
 @dataclass
@@ -89,16 +92,13 @@ class Summary:
 
 def simulate_many(
     seeds: range,  # which
-    faults: Collection[str] = FAULTS,  # kinds that may occur
-    epochs: int | None = None,  # in each; None: the seed decides
+    scenarios: Scenarios = ANY,  # of what kind
     jobs: int = 1,  # processes that share the work
     progress: Callable[[Summary], None] | None = None,  # told the summary so far, now and then
-    *,
-    rated: bool = False,  # whether nodes have rates
 ) -> Summary:
     summary = Summary()
     chunks = [seeds[at : at + CHUNK] for at in range(0, len(seeds), CHUNK)]
-    with closing(_done(chunks, Drawn(tuple(faults), epochs, rated), min(jobs, max(len(chunks), 1)))) as done:
+    with closing(_done(chunks, scenarios, min(jobs, max(len(chunks), 1)))) as done:
         for results in done:
             for result in results:
                 summary.add(result)
@@ -161,9 +161,9 @@ def _without_node(roster: Roster, name: str) -> Roster | None:
     return replace(roster, nodes=nodes, edges=edges)
 
 
-def _done(chunks: Sequence[range], drawn: Drawn, jobs: int) -> Generator[list[Result], None, None]:
+def _done(chunks: Sequence[range], scenarios: Scenarios, jobs: int) -> Generator[list[Result], None, None]:
     """What comes of each chunk, in order. Raises `HieraxError` if a process that simulates has ended."""
-    simulated = partial(simulate_chunk, drawn=drawn)
+    simulated = partial(simulate_chunk, scenarios=scenarios)
     if jobs <= 1:
         yield from map(simulated, chunks)
         return
@@ -183,8 +183,8 @@ def _done(chunks: Sequence[range], drawn: Drawn, jobs: int) -> Generator[list[Re
             raise
 
 
-def simulate_chunk(seeds: range, drawn: Drawn) -> list[Result]:
-    return [simulate_quietly(drawn.scenario(seed)) for seed in seeds]
+def simulate_chunk(seeds: range, scenarios: Scenarios) -> list[Result]:
+    return [simulate_quietly(scenarios.draw(seed)) for seed in seeds]
 
 
 def simulate_quietly(scenario: Scenario, trace: list[str] | None = None) -> Result:

@@ -3,11 +3,12 @@
 The checks apart from the states are left out where they are about attempts: of such an epoch has one only, and what a
 node takes in may be of an earlier one."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from random import Random
 
 from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state
 from hierax.runtime.core.elements import Elements
+from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.core.rates import Rates, Turns
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
@@ -31,18 +32,25 @@ NOT_WITH_RATES = frozenset(
 """What cannot occur: nothing is changed, no node fails alone, and an epoch has one attempt."""
 
 
-def draw_rates(seed: int, roster: Roster) -> Rates:
-    """Rates of some nodes and edges; never none at all."""
-    rng = Random(f"{seed}/rates")
-    others = sorted(roster.nodes.keys() - {roster.world})
+def rates_of(seed: int, roster: Roster) -> Rates:
+    """The rates of a seed's scenario."""
+    edges = roster.edges
+    sensed = [edge.pair for edge in edges if edge.sense is not None]
+    names = sorted(roster.nodes.keys() - {roster.world})
+    return draw_rates(Random(f"{seed}/rates"), names, [edge.pair for edge in edges], sensed)
+
+
+def draw_rates(rng: Random, names: Sequence[str], pairs: Sequence[Pair], sensed: Sequence[Pair]) -> Rates:
+    """Rates of some nodes but the world and of some edges, of which those that are sensed may gather; none at all where
+    there is no such node."""
     turns: dict[str, Turns] = {}
-    for name in others:
+    for name in names:
         every = rng.choice((1, 1, rng.randint(2, MAX_EVERY)))
         if every > 1:
             turns[name] = Turns(every, rng.randrange(every))
-    delays = {edge.pair: rng.randint(1, MAX_DELAY) for edge in roster.edges if rng.random() < 0.5}
-    gathers = frozenset(edge.pair for edge in roster.edges if edge.sense is not None and rng.random() < 0.3)
-    return Rates(turns, delays, gathers) or Rates({others[0]: Turns(2)})
+    delays = {pair: rng.randint(1, MAX_DELAY) for pair in pairs if rng.random() < 0.5}
+    gathers = frozenset(pair for pair in sensed if rng.random() < 0.3)
+    return Rates(turns, delays, gathers) or Rates(dict.fromkeys(names[:1], Turns(2)))
 
 
 class RatedChecker(Checker):

@@ -33,6 +33,12 @@ MOVES_S = "HIERAX_DEVICE_MOVES_S"
 """Environment variable: how long a move takes; no parameter, so that the digests don't depend on it."""
 
 
+HOLDS_UP = "HIERAX_DEVICE_HOLDS_UP"
+"""Environment variable: a file; while it is there, guessers don't come up."""
+
+POLL_S = 0.005
+
+
 class Rover(World):
     """Moves a device, which logs the epochs in which it moved, by whose process; its belief comes from above.
 
@@ -60,6 +66,10 @@ class Rover(World):
 
 class Guesser(Node):
     """Guesses at a level from what it observes."""
+
+    def __init__(self) -> None:
+        while os.path.exists(os.environ.get(HOLDS_UP, "")):
+            time.sleep(POLL_S)
 
     def initial_belief(self) -> Value:
         return 0.0

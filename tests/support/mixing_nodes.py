@@ -29,9 +29,9 @@ edges:
 """
 
 
-def written(folder: Path, name: str = "mixing.yaml") -> Path:
+def written(folder: Path) -> Path:
     """The hierarchy as a file, in a folder."""
-    path = folder / name
+    path = folder / "mixing.yaml"
     path.write_text(MIXING)
     return path
 

@@ -8,30 +8,22 @@ from collections.abc import Callable
 from hierax.runtime.core.digest import encode_state
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.core.rates import Rates, Turns
+from hierax.runtime.core.rates import Rates
 from hierax.runtime.engine.effects import Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
+from hierax.runtime.sim.rated import draw_rates
 from hierax.schemas.checkpoint import decode_state
 from hierax.schemas.messages import Header, Message
 
-MAX_EVERY = 5
-MAX_DELAY = 7
 MOST_KILLS = 40  # in one run: where more die than can come back, none comes to its end
 
 
 def random_rates(seed: int, hierarchy: Hierarchy) -> Rates:
-    """Rates of some nodes and edges; each of them other than by default about every second time."""
-    rng = random.Random(seed)
-    turns = {}
-    for name in sorted(hierarchy.nodes.keys() - {hierarchy.world}):
-        every = rng.choice((1, 1, rng.randint(2, MAX_EVERY)))
-        if every > 1:
-            turns[name] = Turns(every, rng.randrange(every))
+    """Rates of some nodes and edges, any of which may gather."""
     pairs = sorted(hierarchy.bound_edges)
-    delays = {pair: rng.randint(1, MAX_DELAY) for pair in pairs if rng.random() < 0.5}
-    return Rates(turns, delays, frozenset(pair for pair in pairs if rng.random() < 0.4))
+    return draw_rates(random.Random(seed), sorted(hierarchy.nodes.keys() - {hierarchy.world}), pairs, pairs)
 
 
 class KilledError(Exception):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgpack
 import pytest
-from support.device_nodes import DEVICE, MOVES_S, acts
+from support.device_nodes import DEVICE, HOLDS_UP, MOVES_S, acts
 from support.faults import written
 from support.launched import Command, Launched, is_alive, processes_of, run_here, until
 from support.recompute_digest import main as recompute_digest
@@ -181,11 +181,17 @@ def test_a_process_that_hangs_is_named_and_replaced(device: Device) -> None:
 
 
 @pytest.mark.parametrize("policy", ["restart_policy: never", "rejoin_timeout: 0.01"])
-def test_a_process_that_hangs_is_detached(policy: str, device: Device) -> None:
+def test_a_process_that_hangs_is_detached(
+    policy: str, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At once; or when the one that is started in its place does not come up in time."""
     epochs = 100
+    holds_up = tmp_path / "holds up"
+    monkeypatch.setenv(HOLDS_UP, str(holds_up))
     device.write(deadline_s=DEADLINE_S, eye=f", {policy}, on_loss: detach")
     with device.launch(epochs, moves_s=MOVE_S) as launch:
         launch.until_epoch(10)
+        holds_up.touch()
         stop(launch.until_pid("eye"))
         launch.until_said("it is detached (on_loss)")
         report = launch.report()

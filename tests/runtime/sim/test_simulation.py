@@ -16,7 +16,7 @@ from support.sweep import examples
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.engine.table import Verdict
-from hierax.runtime.sim.campaign import Drawn, fails, shrink, simulate_many, simulate_quietly
+from hierax.runtime.sim.campaign import Scenarios, fails, shrink, simulate_many, simulate_quietly
 from hierax.runtime.sim.scenario import CONTRADICT, DAMAGE, FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import simulate
 from hierax.schemas.control import Control
@@ -33,7 +33,7 @@ def test_nothing_is_wrong_under_any_faults() -> None:
 
 
 def test_nothing_is_wrong_with_rates_and_delays() -> None:
-    summary = simulate_many(range(2 * SEEDS), rated=True)
+    summary = simulate_many(range(2 * SEEDS), Scenarios(rated=True))
     assert not summary.violations, summary.violations[:5]
     assert set(summary.unreached(rated=True)) <= {"word Fetch"}, "which is seldom"
     assert summary.epochs > 8 * SEEDS
@@ -50,17 +50,17 @@ def test_nothing_is_wrong_with_rates_and_delays() -> None:
     ],
 )
 def test_what_simulations_with_rates_have_found_holds(seed: int) -> None:
-    assert not simulate_quietly(Drawn(rated=True).scenario(seed)).violation
+    assert not simulate_quietly(Scenarios(rated=True).draw(seed)).violation
 
 
 def test_damage_that_cannot_be_mended_with_rates_is_said() -> None:
-    result = simulate_quietly(Drawn(rated=True).scenario(1))
+    result = simulate_quietly(Scenarios(rated=True).draw(1))
     assert re.fullmatch(r".*goes on after epoch 0, and was further when it said so last.*", result.stopped)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
 def test_nothing_is_wrong_under_faults_of_one_kind(kind: str) -> None:
-    summary = simulate_many(range(1000, 1020), [kind])
+    summary = simulate_many(range(1000, 1020), Scenarios((kind,)))
     assert not summary.violations, summary.violations[:5]
     assert all(not count for fault, count in summary.kinds["fault"].items() if fault != kind)
     if kind not in (DAMAGE, CONTRADICT):
