@@ -169,13 +169,18 @@ class UnderWay(NamedTuple):
     sensed: tuple[int, Value] | None = None  # an epoch in which it has sensed and not predicted, and its belief then
     said: tuple[Message, ...] = ()  # messages that it has sent, and their receivers may lack
     forgotten: tuple[Forgotten, ...] = ()  # which of others they do not
+    gathered: Mapping[str, tuple[Value, ...]] = {}
 
 
 def encode_under_way(
-    sensed: tuple[int, Value] | None, said: Sequence[bytes], forgotten: Sequence[Forgotten] = ()
+    sensed: tuple[int, Value] | None,
+    said: Sequence[bytes],
+    forgotten: Sequence[Forgotten] = (),
+    gathered: Mapping[str, tuple[Value, ...]] | None = None,
 ) -> bytes:
     """The bytes of an `UnderWay`, its messages encoded already. Raises `SchemaError` if the belief is no value."""
-    return encode_value((() if sensed is None else sensed, tuple(said), tuple(forgotten)))
+    fields = (() if sensed is None else sensed, tuple(said), tuple(forgotten))
+    return encode_value((*fields, gathered) if gathered else fields)
 
 
 def decode_under_way(data: bytes, where: str = "under_way") -> UnderWay:
@@ -183,11 +188,13 @@ def decode_under_way(data: bytes, where: str = "under_way") -> UnderWay:
     if not data:
         return UnderWay()
     value = decode_value(data, where)
-    is_it = fits(value, tuple[Value, tuple[bytes, ...], tuple[Forgotten, ...]])
+    is_it = type(value) is tuple and fits(value[:3], tuple[Value, tuple[bytes, ...], tuple[Forgotten, ...]])
     if not is_it or not (value[0] == () or fits(value[0], tuple[int, Value])):
         raise SchemaError("expected an array of what was sensed, of messages, and of what is forgotten", where)
-    sensed, said, forgotten = value
-    return UnderWay(sensed or None, tuple(map(decode_message, said)), forgotten)
+    if value[3:] and not fits(value[3:], tuple[dict[str, tuple[Value, ...]]]):
+        raise SchemaError("expected what was gathered, by node, behind it, or nothing", where)
+    sensed, said, forgotten, *gathered = value
+    return UnderWay(sensed or None, tuple(map(decode_message, said)), forgotten, *gathered)
 
 
 def decode_roster(data: bytes, where: str = "roster") -> Roster:

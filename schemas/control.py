@@ -44,6 +44,7 @@ class TakeOver(NamedTuple):
     epoch: int
     attempt: int
     state: bytes
+    under_way: bytes = b""  # with rates, what goes with it, as a checkpoint has it
 
 
 class AskStatus(NamedTuple):
@@ -95,6 +96,7 @@ class State(NamedTuple):
     name: str
     version: int
     state: bytes
+    under_way: bytes = b""  # as `TakeOver` has it
 
 
 class Taken(NamedTuple):

@@ -39,5 +39,8 @@ MAX_NUMBER = (1 << 53) - 1
 """Epochs, attempts, versions and instances in a control message: no run comes near."""
 MAX_EXTENSIONS = 64
 
+MAX_EPOCHS_APART = 10_000
+"""How seldom a node may take part in an epoch, and how much later what is predicted may count."""
+
 LARGE_ARRAY_BYTES = 16 * 1024
 """Arrays from this size up travel behind the payload, where they can be read in place."""

@@ -4,15 +4,17 @@ Its content (names, classes, parameters, edges) is what the epoch's digest cover
 version and instance numbers are not, so that a run with restarts is still the same run. A change says what is wanted,
 not what the roster is after it: its owner decides that (`hierax.runtime.owner.roster_changes`)."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import blake2b
 from typing import Any
 
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
+from hierax.schemas.limits import MAX_EPOCHS_APART
 from hierax.schemas.messages import DIGEST_BYTES
+from hierax.schemas.rates import Rates, Timing, Turns
 from hierax.schemas.values import Value, encode_value
 
 FUNCTIONS = ("sense", "task", "context")
@@ -61,6 +63,8 @@ class RosterEdge:
     sense: Reference | None = None
     task: Reference | None = None
     context: Reference | None = None
+    delay: int = 0  # after how many epochs context and tasks count below
+    gather: bool = False  # whether the upper node has all observations since its last turn
 
     @property
     def name(self) -> str:
@@ -83,6 +87,8 @@ class Roster:
         edges: by name of the lower, then of the upper node.
         version: totally ordered.
         instances: per node, new whenever its process is.
+        turns: of nodes that do not take part in every epoch.
+        timing: since when nodes and edges have their rates; None: nobody has any, and all epochs end for all at once.
     """
 
     world: str
@@ -90,6 +96,33 @@ class Roster:
     edges: tuple[RosterEdge, ...]
     version: int = 0
     instances: Mapping[str, int] = field(default_factory=dict)
+    turns: Mapping[str, Turns] = field(default_factory=dict)
+    timing: Timing | None = None
+
+    @cached_property
+    def rates(self) -> Rates | None:
+        """How often nodes take part, and how much later predictions count; None: nobody has rates."""
+        if self.timing is None:
+            return None
+        delays = {edge.pair: edge.delay for edge in self.edges if edge.delay}
+        return Rates(self.turns, delays, frozenset(edge.pair for edge in self.edges if edge.gather), self.timing)
+
+    def with_rates(self, rates: Rates) -> "Roster":
+        """The same nodes and edges with these rates."""
+        edges = [
+            replace(edge, delay=rates.delays.get(edge.pair, 0), gather=edge.pair in rates.gathers)
+            for edge in self.edges
+        ]
+        return replace(self, edges=tuple(edges), turns=rates.turns, timing=rates.timing)
+
+    def is_as(self, other: "Roster") -> bool:
+        """Whether another one is the same, known or not since when it is in force."""
+        one, two = (replace(each, timing=None).plain() for each in (self, other))
+        return encode_value(one) == encode_value(two)
+
+    def as_of(self, epoch: int) -> "Roster":
+        """The same once its first epoch is known."""
+        return self if self.timing is None else replace(self, timing=self.timing.as_of(epoch))
 
     @cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -127,6 +160,7 @@ class Roster:
             "world": self.world,
             "nodes": plain_nodes(self.nodes),
             "edges": [plain_edge(edge) for edge in sorted(self.edges, key=lambda edge: edge.pair)],
+            **_plain_turns(self.turns),
         }
 
     def content_hash(self) -> bytes:
@@ -138,12 +172,13 @@ class Roster:
         return self.instances.get(name, 0)
 
     def plain(self) -> Value:
-        return {**self.content(), "version": self.version, "instances": dict(self.instances)}
+        timing = {} if self.timing is None else {"timing": self.timing.plain()}
+        return {**self.content(), "version": self.version, "instances": dict(self.instances), **timing}
 
     @staticmethod
     def read(value: Value) -> "Roster":
         """Read it from a value. Raises `SchemaError` if it is no roster; says which field and what was expected."""
-        fields = read_mapping(value, {"world", "nodes", "edges", "version", "instances"}, "roster")
+        fields = read_mapping(value, {"world", "nodes", "edges", "version", "instances"}, "roster", {"turns", "timing"})
         instances = fields["instances"]
         nodes, edges = read_nodes(fields["nodes"], "roster.nodes"), read_edges(fields["edges"], "roster.edges")
         if not isinstance(instances, dict):
@@ -151,7 +186,9 @@ class Roster:
         world, version = read_name(fields["world"], "roster.world"), _whole(fields["version"], "roster.version")
         where = "roster.instances"
         numbers = {read_name(name, where): _whole(number, f"{where}.{name}") for name, number in instances.items()}
-        return Roster(world, nodes, edges, version, numbers)
+        turns = _read_turns(fields.get("turns", {}), nodes, "roster.turns")
+        timing = Timing.read(fields["timing"], "roster.timing") if "timing" in fields else None
+        return Roster(world, nodes, edges, version, numbers, turns, timing)
 
 
 def plain_nodes(nodes: Mapping[str, Reference]) -> Value:
@@ -162,7 +199,18 @@ def plain_nodes(nodes: Mapping[str, Reference]) -> Value:
 def plain_edge(edge: RosterEdge) -> Value:
     functions = {kind: getattr(edge, kind) for kind in FUNCTIONS}
     plain = {kind: None if function is None else function.plain() for kind, function in functions.items()}
-    return {"lower": edge.lower, "upper": edge.upper, **plain}
+    rates = {**({"delay": edge.delay} if edge.delay else {}), **({"gather": True} if edge.gather else {})}
+    return {"lower": edge.lower, "upper": edge.upper, **plain, **rates}
+
+
+def _plain_turns(turns: Mapping[str, Turns]) -> dict[str, Value]:
+    return {"turns": {name: turns[name].plain() for name in sorted(turns)}} if turns else {}
+
+
+def _read_turns(value: Value, nodes: Mapping[str, Reference], where: str) -> dict[str, Turns]:
+    if not isinstance(value, dict) or not value.keys() <= nodes.keys():
+        raise SchemaError("expected a map with some of the nodes", where)
+    return {name: Turns.read(turns, f"{where}.{name}") for name, turns in value.items()}
 
 
 def read_nodes(value: Value, where: str) -> dict[str, Reference]:
@@ -180,10 +228,15 @@ def read_edges(value: Value, where: str) -> tuple[RosterEdge, ...]:
 
 
 def _read_edge(value: Value, where: str) -> RosterEdge:
-    fields = read_mapping(value, {"lower", "upper", *FUNCTIONS}, where)
+    fields = read_mapping(value, {"lower", "upper", *FUNCTIONS}, where, {"delay", "gather"})
     lower, upper = read_name(fields["lower"], f"{where}.lower"), read_name(fields["upper"], f"{where}.upper")
     given = {kind: Reference.read(fields[kind], f"{where}.{kind}") for kind in FUNCTIONS if fields[kind] is not None}
-    return RosterEdge(lower, upper, **given)
+    delay, gather = _whole(fields.get("delay", 0), f"{where}.delay"), fields.get("gather", False)
+    if delay > MAX_EPOCHS_APART:
+        raise SchemaError(f"expected at most {MAX_EPOCHS_APART}, got {delay}", f"{where}.delay")
+    if type(gather) is not bool:
+        raise SchemaError(f"expected true or false, got {shown(gather)}", f"{where}.gather")
+    return RosterEdge(lower, upper, **given, delay=delay, gather=gather)
 
 
 def read_name(value: Value, where: str) -> str:
@@ -197,9 +250,9 @@ def _whole(value: Value, where: str) -> int:
     return value
 
 
-def read_mapping(value: Value, keys: set[str], where: str) -> dict[str, Any]:
-    """A map that has these keys and no others. Raises `SchemaError` if the value is none."""
-    if not isinstance(value, dict) or set(value) != keys:
+def read_mapping(value: Value, keys: set[str], where: str, optional: Collection[str] = frozenset()) -> dict[str, Any]:
+    """A map that has these keys, perhaps optional ones, and no others. Raises `SchemaError` if the value is none."""
+    if not isinstance(value, dict) or set(value).difference(optional) != keys:
         raise SchemaError(f"expected a map with the keys {', '.join(sorted(keys))}", where)
     return value
 
@@ -207,14 +260,15 @@ def read_mapping(value: Value, keys: set[str], where: str) -> dict[str, Any]:
 @dataclass(frozen=True)
 class Attach:
     """New nodes, class and parameters by name, and the edges that join them to each other and to what is there: each
-    joins at least one of the nodes."""
+    joins at least one of the nodes. `turns`: of those that do not take part in every epoch."""
 
     nodes: Mapping[str, Reference]
     edges: tuple[RosterEdge, ...] = ()
+    turns: Mapping[str, Turns] = field(default_factory=dict)
 
     def plain(self) -> Value:
         edges = [plain_edge(each) for each in self.edges]
-        return {"change": "attach", "nodes": plain_nodes(self.nodes), "edges": edges}
+        return {"change": "attach", "nodes": plain_nodes(self.nodes), "edges": edges, **_plain_turns(self.turns)}
 
 
 @dataclass(frozen=True)
@@ -232,15 +286,17 @@ class Detach:
 @dataclass(frozen=True)
 class Replace:
     """Another node, of the class and parameters of a reference, takes the place and the belief of the node of a name,
-    and has these edges from then on; None: those that it has."""
+    and has these edges and turns from then on; None: those that it has."""
 
     name: str
     reference: Reference
     edges: tuple[RosterEdge, ...] | None = None
+    turns: Turns | None = None
 
     def plain(self) -> Value:
         edges = None if self.edges is None else [plain_edge(edge) for edge in self.edges]
-        return {"change": "replace", "name": self.name, "reference": self.reference.plain(), "edges": edges}
+        plain = {"change": "replace", "name": self.name, "reference": self.reference.plain(), "edges": edges}
+        return plain if self.turns is None else {**plain, "turns": self.turns.plain()}
 
 
 Change = Attach | Detach | Replace
@@ -260,16 +316,18 @@ def read_change(value: Value) -> Change:
         raise SchemaError(f"expected a map, got {shown(value)}", "change")
     kind = value.get("change")
     if kind == "attach":
-        fields = read_mapping(value, {"change", "nodes", "edges"}, "change")
-        return Attach(read_nodes(fields["nodes"], "change.nodes"), read_edges(fields["edges"], "change.edges"))
+        fields = read_mapping(value, {"change", "nodes", "edges"}, "change", {"turns"})
+        nodes, edges = read_nodes(fields["nodes"], "change.nodes"), read_edges(fields["edges"], "change.edges")
+        return Attach(nodes, edges, _read_turns(fields.get("turns", {}), nodes, "change.turns"))
     if kind == "detach":
         fields = read_mapping(value, {"change", "name", "cascade"}, "change")
         if not isinstance(fields["cascade"], bool):
             raise SchemaError(f"expected true or false, got {shown(fields['cascade'])}", "change.cascade")
         return Detach(read_name(fields["name"], "change.name"), fields["cascade"])
     if kind == "replace":
-        fields = read_mapping(value, {"change", "name", "reference", "edges"}, "change")
+        fields = read_mapping(value, {"change", "name", "reference", "edges"}, "change", {"turns"})
         name, edges = read_name(fields["name"], "change.name"), fields["edges"]
         reference = Reference.read(fields["reference"], "change.reference")
-        return Replace(name, reference, None if edges is None else read_edges(edges, "change.edges"))
+        turns = Turns.read(fields["turns"], "change.turns") if "turns" in fields else None
+        return Replace(name, reference, None if edges is None else read_edges(edges, "change.edges"), turns)
     raise SchemaError(f"expected attach, detach or replace, got {shown(kind)}", "change.change")

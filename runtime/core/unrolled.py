@@ -15,7 +15,7 @@ from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, apply, check_orders, predict, sense
-from hierax.runtime.core.rates import Rates
+from hierax.schemas.rates import Rates
 
 
 class Said(NamedTuple):
@@ -44,6 +44,20 @@ class Unrolled:
     def initial(hierarchy: Hierarchy, rates: Rates) -> "Unrolled":
         """Before the first epoch. Raises `OperatorError` if an `initial_belief` raised."""
         return Unrolled(ActiveHierarchy.initial(hierarchy), rates)
+
+    def under(self, hierarchy: Hierarchy, rates: Rates, states: Mapping[str, ActiveNode]) -> "Unrolled":
+        """The same under another roster, before its first epoch, in which its nodes are to begin in these states.
+
+        What was said along an edge that stays counts until what is said under it does."""
+        epoch = self.active.epoch
+        staying = {pair for pair in hierarchy.bound_edges if rates.since(*pair) <= epoch}
+        return Unrolled(
+            ActiveHierarchy(hierarchy, MappingProxyType(dict(states)), epoch),
+            rates,
+            {pair: said for pair, said in self.said.items() if pair in staying},
+            {pair: each for pair, each in self.gathered.items() if pair in staying & rates.gathers},
+            {name: digest for name, digest in self.digests.items() if name in hierarchy.nodes},
+        )
 
 
 def unrolled_update(

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.loading.allowance import Allowance
@@ -275,8 +274,7 @@ class Deployment:
     document: Document = field(repr=False, compare=False)  # where everything stands in the file
     view: ViewSpec = ViewSpec()  # how a viewer shows it
     processes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by name, the nodes that share one
-    rates: Rates = NO_RATES  # how often nodes take part, and how much later predictions count
-    rated_at: Keys = ()  # where the file says the first thing of that
+    rated_at: Keys = ()  # where the file says the first thing of rates
     hosts: Mapping[str, Host] = field(default_factory=dict)  # the machines on which a launch may run nodes, by name
     placed: Mapping[str, str] = field(default_factory=dict)  # by node, the host on which it runs; others run here
 
@@ -288,11 +286,11 @@ class Deployment:
     @property
     def overlaps(self) -> bool:
         """Whether nodes may be in different epochs."""
-        return bool(self.rates) or not self.staleness.barrier
+        return self.roster.rates is not None or not self.staleness.barrier
 
     def refuse_rates(self, whose: str) -> None:
         """Raise `DeploymentError` where the file has rates: `whose` does not know them, and would do something else."""
-        if self.rates:
+        if self.roster.rates is not None:
             raise self.document.error(
                 self.rated_at, f"rates are for 'run' and 'launch'; {whose} does not know them yet"
             )
@@ -301,8 +299,6 @@ class Deployment:
         """Raise `DeploymentError` where the file has rates, and neither `run` nor `launch` knows what is with them."""
         if is_recorded:
             self.refuse_rates("a recording")
-        if any(terms.fails_alone for terms in self.terms.values()):
-            self.refuse_rates("'on_loss: detach'")
 
     def place(self, where: str) -> str:
         """``file:line`` of a path such as ``nodes.world.class``, or the ``--set`` that gave it."""

@@ -20,6 +20,7 @@ from hierax.runtime.loading.allowance import TARGET_PATTERN, is_target
 from hierax.runtime.loading.arguments import in_words
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.keys import check_name
+from hierax.schemas.limits import MAX_EPOCHS_APART
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 MODULES_PATTERN = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(\.\*)?$"
@@ -27,9 +28,6 @@ EDGE_PATTERN = r"^\s*\S+\s*->\s*\S+\s*$"
 
 MAX_STALENESS = 8
 """Held messages bound it; more would only be a longer wait for what comes."""
-
-MAX_EPOCHS_APART = 10_000
-"""From a node's turn to its next one, and from a prediction to where it counts."""
 
 LOCAL = "local"  # in the place of a host that is this machine
 
@@ -313,6 +311,7 @@ class DeploymentModel(_Model):
         ge=0,
         le=MAX_STALENESS,
     )
+    rates: bool = _field("whether nodes may have rates ('every', 'delay', …) that join while it runs", False)
     late: Literal["catch_up", "skip"] = _field(
         "of a world with a rate, what follows an epoch that took too long: those overdue begin at once, or are skipped",
         "catch_up",

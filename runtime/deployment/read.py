@@ -26,7 +26,7 @@ from hierax.runtime.deployment.deployment import (
 from hierax.runtime.deployment.hosts import check_together, hosts_of, placed_on
 from hierax.runtime.deployment.models import first_error
 from hierax.runtime.deployment.parameters import apply_override, substitute
-from hierax.runtime.deployment.rates import rated_keys, rates_of
+from hierax.runtime.deployment.rates import TOGETHER, rated_keys, rates_of
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.loading.allowance import module_of
@@ -69,6 +69,8 @@ def deployment_of(document: Document, path: Path) -> Deployment:
     except ValidationError as error:
         raise first_error(error, document, root) from error
     roster = _roster(model, document)
+    turns, timing = rates_of(model, document)
+    roster = replace(roster, turns=turns, timing=timing)
     restart = process_terms(model.restart, ProcessTerms(), document, ("restart",))
     staleness = _staleness(model, document)
     hosts = hosts_of(model, document)
@@ -81,15 +83,14 @@ def deployment_of(document: Document, path: Path) -> Deployment:
         roster=roster,
         probes=_probes(model, document),
         modules=_modules(model),
-        terms=node_terms(model.nodes, lambda name: restart, document, staleness, model.world),
+        terms=node_terms(model.nodes, lambda name: restart, document, staleness, model.world, timing is not None),
         restart=restart,
         staleness=staleness,
         zenoh=_zenoh(model.zenoh, path, document),
         import_paths=import_paths(path),
         document=document,
         view=_view(model.view),
-        rates=rates_of(model, document),
-        rated_at=next(iter(rated_keys(model)), ()),
+        rated_at=next(iter(rated_keys(model)), ("rates",)),
         processes=processes,
         hosts=hosts,
         placed=placed,
@@ -210,7 +211,7 @@ def roster_edges(given: Mapping[str, models.EdgeModel], document: Document) -> t
             if each is not None and each.enabled
         }
         lower, upper = models.split_edge(name)
-        edges.append(RosterEdge(lower, upper, **references))
+        edges.append(RosterEdge(lower, upper, **references, delay=edge.delay, gather=edge.gather))
     return tuple(sorted(edges, key=lambda edge: edge.pair))
 
 
@@ -238,11 +239,14 @@ def node_terms(
     document: Document,
     staleness: Staleness,  # of the deployment
     world: str,  # its name
+    is_rated: bool,  # whether nodes have rates
 ) -> dict[str, ProcessTerms]:
     """How the processes of nodes are kept. Raises `DeploymentError` if something means nothing where it stands."""
     for name, node in nodes.items():
         if node.rate_hz is not None and not staleness.has_rate(is_world=name == world):
             raise document.error(("nodes", name, "rate_hz"), RATELESS)
+        if is_rated and process_terms(node, otherwise(name), document, ("nodes", name)).fails_alone:
+            raise document.error(("nodes", name, "on_loss"), f"detach means nothing here: {TOGETHER}")
         if (asked := node.scheduling) and asked.policy == "other" and "priority" in asked.model_fields_set:
             what = "means something only with a real-time policy: fifo or rr"
             raise document.error(("nodes", name, "scheduling", "priority"), what)

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from hierax.runtime.deployment.deployment import Deployment, DeploymentError, Document, ProcessTerms, inside
 from hierax.runtime.deployment.models import SnippetModel, first_error, split_edge
 from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.rates import rated_keys
+from hierax.runtime.deployment.rates import check_gathers, turns_of
 from hierax.runtime.deployment.read import node_terms, read_document, roster_edges, roster_nodes
 from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.loading.nearest import did_you_mean
@@ -35,14 +35,15 @@ def read_attach(source: str | Path, deployment: Deployment) -> Attach:
     or the snippet is wrong: file, line, field, what was expected, and the nearest valid name."""
     if _is_node(source, deployment):
         name, roster = str(source), deployment.roster
-        return Attach({name: roster.nodes[name]}, tuple(edge for edge in roster.edges if name in edge.pair))
+        turns = {name: roster.turns[name]} if name in roster.turns else {}
+        return Attach({name: roster.nodes[name]}, tuple(edge for edge in roster.edges if name in edge.pair), turns)
     return attach_of(_document(source, deployment))
 
 
 def read_replace(source: str | Path, name: str, deployment: Deployment) -> Replace:
     """What replaces the node of a name. The source is the path of a snippet that has this node alone. Its edges are all
-    that the node has from then on; without ``edges`` it keeps those that it has. Raises `DeploymentError` as
-    `read_attach` does, or if the snippet has another node."""
+    that the node has from then on; without ``edges``, and without ``every`` and ``offset``, it keeps its own. Raises
+    `DeploymentError` as `read_attach` does, or if the snippet has another node."""
     return replace_of(_document(source, deployment), name)
 
 
@@ -61,7 +62,8 @@ def read_terms(source: str | Path, deployment: Deployment, *, attached: bool = F
 def attach_of(document: Document) -> Attach:
     """What a snippet's document attaches. Raises `DeploymentError` if it is wrong."""
     model = _checked(document)
-    return Attach(roster_nodes(model.nodes, document), roster_edges(model.edges or {}, document))
+    nodes, edges = roster_nodes(model.nodes, document), roster_edges(model.edges or {}, document)
+    return Attach(nodes, edges, turns_of(model.nodes, document))
 
 
 def replace_of(document: Document, name: str) -> Replace:
@@ -71,7 +73,8 @@ def replace_of(document: Document, name: str) -> Replace:
         if given != name:
             raise document.error(("nodes", given), f"expected no other node than the one to be replaced, {name!r}")
     edges = None if model.edges is None else roster_edges(model.edges, document)
-    return Replace(name, roster_nodes(model.nodes, document)[name], edges)
+    turns = turns_of(model.nodes, document).get(name)
+    return Replace(name, roster_nodes(model.nodes, document)[name], edges, turns)
 
 
 def terms_of(document: Document, deployment: Deployment, *, attached: bool = False) -> Mapping[str, ProcessTerms]:
@@ -82,13 +85,14 @@ def terms_of(document: Document, deployment: Deployment, *, attached: bool = Fal
         own = None if attached else deployment.terms.get(name)
         return unsaid if own is None else replace(unsaid, **{field: getattr(own, field) for field in _OF_THE_PLACE})
 
-    world = deployment.roster.world
-    return node_terms(_checked(document).nodes, otherwise, document, deployment.staleness, world)
+    roster = deployment.roster
+    is_rated = roster.timing is not None
+    return node_terms(_checked(document).nodes, otherwise, document, deployment.staleness, roster.world, is_rated)
 
 
 def _otherwise(deployment: Deployment, attached: bool) -> ProcessTerms:
     """What holds of a node of which a snippet says nothing."""
-    if attached and not _says(deployment, "restart"):
+    if attached and not _says(deployment, "restart") and deployment.roster.timing is None:
         return replace(deployment.restart, on_loss="detach")
     return deployment.restart
 
@@ -128,8 +132,7 @@ def _checked(document: Document) -> SnippetModel:
         raise first_error(error, document, root, SnippetModel) from error
     if not model.nodes:
         raise document.error(("nodes",), "expected at least one node")
-    for keys in rated_keys(model)[:1]:
-        raise document.error(keys, "rates are for whole deployments; a node that joins a run has none")
+    check_gathers(model.edges or {}, document)
     for edge in model.edges or {}:
         if not model.nodes.keys() & set(split_edge(edge)):
             names = " or ".join(map(repr, sorted(model.nodes)))

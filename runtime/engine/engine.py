@@ -112,7 +112,7 @@ class Engine:
         return tuple(sorted(self.awaited.keys() - self.inbox.keys()))
 
     def restore(self, saved: Saved) -> None:
-        """Go on from here: after a crash, or with the state of a node that this one replaces."""
+        """Go on from here."""
         self.epoch = saved.epoch
         self.attempt = saved.attempt
         self.start = saved.start  # the node's state at the start of the epoch that it has begun last
@@ -122,6 +122,10 @@ class Engine:
         self.encoded = self._encoded_saved(saved.now)  # the bytes of `state`
         self.inbox.clear()
         self._enter(Phase.DONE)
+
+    def take_over(self, saved: Saved) -> None:
+        """Go on with the state of a node that this one replaces."""
+        self.restore(saved)
 
     def begin(self, attempt: int = 0) -> None:
         """Begin the next epoch; only the world. `attempt`: its first one; not 0 where its process has died."""

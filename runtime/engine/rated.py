@@ -20,7 +20,6 @@ from collections.abc import Mapping, Sequence
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
-from hierax.runtime.core.rates import Rates
 from hierax.runtime.engine.effects import EngineEffects, Saved
 from hierax.runtime.engine.engine import DRAIN, Engine
 from hierax.runtime.engine.said import SaidMessages
@@ -29,6 +28,8 @@ from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
+from hierax.schemas.rates import Rates
+from hierax.schemas.values import fits
 
 GREETING = 0  # the epoch of a message that says nothing but that its sender is there
 
@@ -46,40 +47,66 @@ class RatedEngine(Engine):
         wiring: Wiring,
         effects: EngineEffects,
         *,
-        rates: Rates,
         saved: Saved | None = None,
-        comes_back: bool = False,
+        joins: bool = False,
     ) -> None:
-        self._rates = rates  # of the whole hierarchy; the other arguments are as `Engine` has them
         self._kept: dict[Slot, dict[int, Message]] = {}
-        self._greets = comes_back or saved is not None  # whether neighbours may have more than this process knows of
+        self._told_rates: Rates | None = None  # what the roster says of rates
+        self._greets = joins or saved is not None  # whether neighbours may have more than this process knows of
         self._unsent: list[Message] | None = None
-        self._epochs_ahead = max(EPOCHS_AHEAD, 2 * rates.span)  # also of one that comes back, and is behind
         self.drains = False  # whether the epoch under way is a drained one; of the world's, to be set before it begins
         self.overruns: dict[str, int] = {}  # by node above, how often its delayed prediction was waited for
-        super().__init__(wiring, effects, saved=saved)
+        comes = joins and wiring.place.rates is not None and wiring.node.name in wiring.place.rates.timing.fresh
+        super().__init__(wiring, effects, saved=saved, joins=comes)
+
+    def _wire(self, wiring: Wiring) -> None:
+        super()._wire(wiring)
+        if wiring.place.rates is self._told_rates:  # a version that changes nothing here: they are known since when
+            return
+        self._told_rates = wiring.place.rates
+        self._rates = self._told_rates or Rates()
+        name, delays = self.name, self._rates.delays
+        apart = self._rates.turns_of(name).every + max(
+            (delays.get((lower, name), 0) for lower in self.node.below), default=0
+        )
+        self._epochs_ahead = max(EPOCHS_AHEAD, 2 * apart)  # also of one that comes back, and is behind
 
     def restore(self, saved: Saved) -> None:
+        if not saved.epoch and not self._joins:  # the first epoch of a node that came later is its first one
+            before = self._rates.timing.since.get(self.name, 1) - 1
+            saved = saved._replace(epoch=before)
         super().restore(saved._replace(attempt=0))
         self._turned = saved.epoch  # the last epoch whose state was saved; those after it that are past change nothing
         self._remembered: tuple[int, Value] | None = None
         self._gathered: dict[str, list[Value]] = {}
         self._unheard = SaidMessages()
         if saved.under_way:
-            self._remembered, said, forgotten = decode_under_way(saved.under_way)
-            self._unheard = SaidMessages(said, forgotten)
+            under_way = decode_under_way(saved.under_way)
+            self._remembered = under_way.sensed
+            self._unheard = SaidMessages(under_way.said, under_way.forgotten)
+            self._gathered = {lower: list(elements) for lower, elements in under_way.gathered.items()}
+        if not self._joins:
+            self._begin_rates()
+
+    def take_over(self, saved: Saved) -> None:
+        self._joins = False
+        super().take_over(saved)
 
     @property
     def under_way(self) -> bytes:
         said, forgotten = self._unheard.encoded(), self._unheard.forgotten
+        gathered = {lower: tuple(elements) for lower, elements in self._gathered.items()}
         try:
-            return encode_under_way(self._remembered, said, forgotten)
+            return encode_under_way(self._remembered, said, forgotten, gathered)
         except SchemaError:  # a belief is looked at when it has predicted; before, it need not be one that can travel
-            return encode_under_way(None, said, forgotten)
+            return encode_under_way(None, said, forgotten, gathered)
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
         return tuple(sorted(self._lacking()))
+
+    def go_back_to(self, attempt: int) -> None:
+        """An epoch has one attempt, whatever its number."""
 
     # --- what the world is told to do
 
@@ -99,6 +126,34 @@ class RatedEngine(Engine):
     def rewire(self, version: int) -> None:
         super().rewire(version)
         self._greets = True
+        if not self._joins:
+            self._begin_rates()
+        elif self.name in self._rates.timing.since:
+            self._join(self._rates.timing.since[self.name])
+
+    def _begin_rates(self) -> None:
+        """Take up the rates of a roster with the next epoch, where that is its first one; what was said along edges
+        that are gone, or to a node that had the name of a new one, is not said any more."""
+        self._rates = rates = self._rates.as_of(self.epoch + 1)
+        since = {lower: rates.since(lower, self.name) for lower in self.node.below}
+        since |= {upper: rates.since(self.name, upper) for upper in self.node.above}
+        self._unheard.only(since)
+        for slot in [slot for slot in self._kept if slot not in self.wiring.below and slot not in self.wiring.above]:
+            del self._kept[slot]
+        for (sender, _), kept in self._kept.items():
+            for epoch in [epoch for epoch in kept if epoch < since[sender]]:
+                del kept[epoch]
+        gathering = {lower for lower in since if (lower, self.name) in rates.gathers and self.epoch >= since[lower]}
+        self._gathered = {lower: each for lower, each in self._gathered.items() if lower in gathering}
+
+    def _join(self, epoch: int) -> None:
+        """Begin with this epoch, the first one under the roster with which the node came; what came before that was
+        known is said again."""
+        self._joins = False
+        self.epoch = self._turned = epoch - 1
+        self._begin_rates()
+        self._greets = True
+        self._greet_first()
 
     # --- what is said again
 
@@ -114,7 +169,8 @@ class RatedEngine(Engine):
         place = (self._roster, self.wiring.instance)
         header = Header(kind, self.name, neighbour, GREETING, 0, *place, self.time_s, NO_DIGEST)
         done = self.epoch - (self.phase is not Phase.DONE) if self.is_world else self._turned
-        self._effects.send(Message(header, (done,)))
+        since = self._rates.since(self.name, neighbour)  # who comes begins with that epoch
+        self._effects.send(Message(header, (done, since)))
 
     def say_again(self, neighbour: str) -> None:
         if self.begun:
@@ -157,16 +213,23 @@ class RatedEngine(Engine):
         self.begun = True
         self._greet_first()
         if header.epoch == GREETING:
-            self._check_sound(header.sender, header.instance, message.payload)
-            self._say_what_it_lacks(header.sender)
+            self._hear_greeting(header, message.payload)
+            return
+        if self._joins:
             return
         self._forget(header)
         self._keep(message)
         self._go_on()
 
-    def _check_sound(self, neighbour: str, instance: int, greeting: Elements) -> None:
+    def _hear_greeting(self, header: Header, greeting: Elements) -> None:
+        done, since = greeting if fits(greeting, tuple[int, int]) else (0, 0)
+        self._check_sound(header.sender, header.instance, done)
+        if self._joins and since > 0 and header.kind == OBSERVATIONS:
+            self._join(since)
+        self._say_what_it_lacks(header.sender)
+
+    def _check_sound(self, neighbour: str, instance: int, done: int) -> None:
         """Raises `ContradictionError` if a neighbour goes on before what it was done with: nobody has that any more."""
-        done = greeting[0] if greeting and type(greeting[0]) is int else 0
         if neighbour in self.node.above:
             is_sound = self._unheard.has_from(neighbour, OBSERVATIONS, done + 1, instance)
         else:
@@ -182,7 +245,9 @@ class RatedEngine(Engine):
             self._check_same(known, message)
 
     def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
-        return attempt != 0 or roster - self._roster > ROSTERS_AHEAD or epoch - self.epoch > self._epochs_ahead
+        if attempt != 0 or roster - self._roster > ROSTERS_AHEAD:
+            return True
+        return epoch - self.epoch > self._epochs_ahead and not self._joins
 
     def _takes_up(self, header: Header) -> bool:
         """Whether its roster is at hand, and it comes from a neighbour that has taken that up: so it is in force."""

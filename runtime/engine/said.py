@@ -1,6 +1,6 @@
 """What a node has said to its neighbours, for as long as one of them may lack it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.checkpoint import Forgotten
@@ -30,6 +30,18 @@ class SaidMessages:
         for epoch in [epoch for epoch in kept if epoch < before]:
             del kept[epoch]
             self._bytes.pop((slot, epoch), None)
+
+    def only(self, since: Mapping[str, int]) -> None:
+        """What was said to these, from an epoch on; nothing was forgotten of who came later than the run began."""
+        for slot in {*self._messages, *self._forgotten}:
+            receiver = slot[0]
+            first = since.get(receiver)
+            kept = self._messages.get(slot, {})
+            for epoch in [epoch for epoch in kept if first is None or epoch < first]:
+                del kept[epoch]
+                self._bytes.pop((slot, epoch), None)
+            if first is None or self._forgotten.get(slot, (0, 0))[0] < first:
+                self._forgotten.pop(slot, None)
 
     def has_from(self, receiver: str, kind: str, epoch: int, instance: int) -> bool:
         """Whether nothing is forgotten of what was said in an epoch, or later; what the same instance has let be

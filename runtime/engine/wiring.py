@@ -9,6 +9,7 @@ from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.rates import Rates
 from hierax.schemas.roster import Roster
 
 Slot = tuple[str, str]  # a sender and a kind: from each, one message comes in an epoch
@@ -22,11 +23,12 @@ class Place:
     roster_hash: bytes = NO_DIGEST  # hash of its content; nobody but the world needs it
     instances: Mapping[str, int] = field(default_factory=dict)  # instance numbers, of the node and its neighbours
     tasking: frozenset[Pair] = frozenset()  # the edges (lower, upper) that have a task function ψ
+    rates: Rates | None = None  # of the hierarchy
 
     @staticmethod
     def of(roster: Roster, hashed: bool = True) -> "Place":
         content = roster.content_hash() if hashed else NO_DIGEST
-        return Place(roster.version, content, roster.instances, roster.tasking)
+        return Place(roster.version, content, roster.instances, roster.tasking, roster.rates)
 
     def instance(self, name: str) -> int:
         return self.instances.get(name, 0)

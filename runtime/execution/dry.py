@@ -27,7 +27,9 @@ def run_dry(deployment: Deployment) -> int:
         runners[name] = runner
         runner.watch(counter)
 
-    single.run(replace(deployment, probes=()), epochs=deployment.rates.first_turns, seed=0, watch=watch, acts=False)
+    rates = deployment.roster.rates
+    epochs = 1 if rates is None else rates.first_turns
+    single.run(replace(deployment, probes=()), epochs=epochs, seed=0, watch=watch, acts=False)
     return len(runners) + counter.calls + sum(_call_other_policies(runner) for runner in runners.values())
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
-from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Completed, Saved
 from hierax.runtime.engine.engine import Engine
@@ -24,7 +23,6 @@ from hierax.schemas.control import Control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
-from hierax.schemas.values import encode_value
 
 REFUSED_TOLD = 32  # under one version of the roster, of how many senders and reasons refused messages are logged
 MAX_RESENDS = 64
@@ -45,7 +43,6 @@ class Seat:
     port: Port  # of the node
     observers: Observers | None = None  # of the node; None: nobody observes it yet
     staleness: Staleness = BARRIER  # of the deployment
-    rates: Rates = NO_RATES  # likewise
     alone: frozenset[str] = frozenset()  # the nodes that fail alone, until a roster comes that says otherwise
 
 
@@ -64,7 +61,6 @@ class Member(Host):
         self.port = seat.port
         self.observers = Observers(seat.name) if seat.observers is None else seat.observers
         self.staleness = seat.staleness
-        self._rates = seat.rates
         self.runner: NodeRunner | None = None  # of the node; None: no roster with it has come yet
         self.dismissed = ""  # why the process is to end; empty: it is not
         self.again = False  # whether another one is to come in its place then
@@ -88,7 +84,7 @@ class Member(Host):
         seat.port.on_mended(self.mended)
         self._resent: tuple[tuple[int, int], int] = ((0, 0), 0)
         self._rosters: dict[int, Roster] = {}
-        self._taken = b""
+        self._taken = (b"", b"")
 
     @property
     def engine(self) -> Engine | None:
@@ -102,7 +98,7 @@ class Member(Host):
     def run(self, wiring: Wiring, saved: Saved | None = None, joins: bool = False) -> NodeRunner:
         """Have a runner from now on; the arguments are those of `Engine`."""
         parts = (self.port, self.observers, self, self._world)
-        self.runner = NodeRunner(wiring, *parts, staleness=self.staleness, rates=self._rates, saved=saved, joins=joins)
+        self.runner = NodeRunner(wiring, *parts, staleness=self.staleness, saved=saved, joins=joins)
         return self.runner
 
     def join(self, request: str = "") -> None:
@@ -330,7 +326,7 @@ class Member(Host):
     def _check_same(self, roster: Roster) -> None:
         """Raises `ContradictionError` if a version is another roster than when it came before: one was forged."""
         known = self._rosters.get(roster.version)
-        if known is not None and encode_value(known.plain()) != encode_value(roster.plain()):
+        if known is not None and not known.is_as(roster):
             what = f"two rosters of version {roster.version} were sent to it that differ"
             raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
 
@@ -360,13 +356,13 @@ class Member(Host):
             return
         if engine.epoch == order.epoch and engine.phase is Phase.DONE:
             engine.go_back_to(order.attempt)
-            self._report(control.State(self.name, order.version, engine.encoded))
+            self._report(control.State(self.name, order.version, engine.encoded, engine.under_way))
         elif engine.epoch == order.epoch + 1:
             self._report(control.State(self.name, order.version, engine.encoded_start))
 
     def _take_over(self, order: control.TakeOver) -> None:
         engine = self.engine
-        if order.version == self._took and order.state != self._taken:
+        if order.version == self._took and (order.state, order.under_way) != self._taken:
             what = f"two states to take over under version {order.version} of the roster were sent to it that differ"
             raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
         if engine is None or engine.begun or order.version < self._took:
@@ -376,8 +372,9 @@ class Member(Host):
         except (HieraxError, SchemaError) as error:
             self._report(control.Taken(self.name, order.version, f"cannot take over the belief: {error}"))
             return
-        self._took, self._taken = order.version, order.state
-        engine.restore(Saved(order.epoch, order.attempt, state, state))
+        self._took, self._taken = order.version, (order.state, order.under_way)
+        engine.take_over(Saved(order.epoch, order.attempt, state, state, order.under_way))
         now, instance = engine.encoded, order.version  # as of all nodes that are new in a version
-        self._checkpoints.save_first(Checkpoint(order.epoch, order.attempt, instance, order.version, True, now, now))
+        place = (order.epoch, order.attempt, instance, order.version)
+        self._checkpoints.save_first(Checkpoint(*place, True, now, now, engine.under_way))
         self._report(control.Taken(self.name, order.version, ""))

@@ -14,7 +14,6 @@ from hierax.runtime.core.binding import metrics_of
 from hierax.runtime.core.digest import elements_cannot_travel
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import OperatorError
-from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.engine import Engine
@@ -105,7 +104,6 @@ class NodeRunner(EngineEffects):
         world: World | None = None,  # at the world's node; None at others
         *,
         staleness: Staleness = BARRIER,  # of the deployment
-        rates: Rates = NO_RATES,  # likewise
         saved: Saved | None = None,  # as `Engine` has it
         joins: bool = False,  # likewise
     ) -> None:
@@ -117,8 +115,8 @@ class NodeRunner(EngineEffects):
         self._completed: list[Completed] = []
         self._committed: Committed | None = None
         self.engine: Engine
-        if rates:
-            self.engine = RatedEngine(wiring, self, rates=rates, saved=saved, comes_back=joins)
+        if wiring.place.rates is not None:
+            self.engine = RatedEngine(wiring, self, saved=saved, joins=joins)
         elif staleness.barrier:
             self.engine = Engine(wiring, self, saved=saved, joins=joins)
         else:

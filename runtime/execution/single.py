@@ -94,8 +94,6 @@ class SingleRun:
         turn: Callable[[str], None] | None = None,  # told whose turn it is, before it
     ) -> None:
         deployment.check_rated(record is not None)
-        if schedule:
-            deployment.refuse_rates("a change (--at)")
         if output is not None:
             write_roster(output, deployment.roster)
         self._deployment, self._seed, self._output, self._record = deployment, seed, output, record
@@ -257,9 +255,8 @@ class _Nodes(Host):
 
     def ask(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
         """Have the roster change with the next epoch; where epochs overlap, the one under way has to be drained."""
-        self.deployment.refuse_rates("a change of a run")
         world = self.runners[self._world].engine
-        overlaps = world.phase is not Phase.DONE and not self.deployment.staleness.barrier
+        overlaps = world.phase is not Phase.DONE and self.deployment.overlaps
         epoch = world.epoch + 1 + overlaps
         limit = self.pacemaker.limit
         if self.pacemaker.done or (limit is not None and epoch > limit):
@@ -318,7 +315,6 @@ class _Nodes(Host):
             self,
             self._begins if name == self._world else None,
             staleness=self.deployment.staleness,
-            rates=self.deployment.rates,
             saved=saved,
             joins=joins,
         )
@@ -337,12 +333,13 @@ class _Nodes(Host):
             _, change, terms = self._schedule.pop(0)
             if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
                 continue
-            if isinstance(change, Replace) and change.name in self.runners:
+            if isinstance(change, Replace) and change.name in self.runners and self._roster.timing is None:
                 name, engine = change.name, self.runners[change.name].engine
                 was = (self._loaders[name], engine.state, engine.attempt)
                 self._trials[name] = _Trial(epoch, self._roster, *was, self._terms[name])
             self._terms.update({name: terms.get(name, ProcessTerms()) for name in new_nodes(change)})
             self._apply(epoch, change)
+        self._roster = self._roster.as_of(epoch)
 
     def failed(self, error: OperatorError) -> None:
         """What fails alone is detached, or undone, and the epoch begun again without it; as in a launch."""
@@ -402,7 +399,8 @@ class _Nodes(Host):
                 state = taken_over(wiring.node, self.runners[name].engine.encoded)
             except HieraxError as error:
                 raise ChangeError(f"cannot replace {name!r}: {error}") from error
-            saved = Saved(epoch - 1, self.runners[name].engine.attempt, state, state)
+            engine = self.runners[name].engine
+            saved = Saved(epoch - 1, engine.attempt, state, state, engine.under_way)
             self._close(name)
         self.runners[name] = self._run_node(name, wiring, saved, again=replaces, joins=saved is None)
 

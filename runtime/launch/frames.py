@@ -16,7 +16,6 @@ from pathlib import Path
 
 import anyio
 
-from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
 from hierax.runtime.loading.allowance import Allowance
@@ -82,7 +81,6 @@ class NodeOrder:
     epochs: int | None  # how many; None: until the world has finished
     staleness: int | None  # how old inputs from above may be, in epochs; None: free running
     exact: bool  # whether they are exactly so old
-    rates: Rates = NO_RATES  # of the hierarchy
     rate_hz: float | None = None  # in free running, how often at most the node takes part in an epoch; None: as it can
     late: Late = "catch_up"  # of the world's, which has a rate with the barrier, too
     budget_ms: float | None = None  # how long the node may be at work in an epoch; None: that is not looked at
@@ -121,7 +119,6 @@ class NodeOrder:
         return {
             **self.__dict__,
             "roster": None if self.roster is None else self.roster.plain(),
-            "rates": self.rates.plain(),
             "probes": [[probe.node, probe.reference.plain(), probe.overwrite] for probe in self.probes],
             "owner": None if self.owner is None else self.owner.__dict__,
         }
@@ -135,8 +132,7 @@ class NodeOrder:
         roster = None if value["roster"] is None else Roster.read(value["roster"])
         owner = None if value["owner"] is None else OwnerPolicy(**value["owner"])
         slots = None if value["slots"] is None else tuple(value["slots"])
-        rates = Rates.read(value["rates"])
-        read = {"roster": roster, "rates": rates, "probes": probes, "owner": owner, "slots": slots}
+        read = {"roster": roster, "probes": probes, "owner": owner, "slots": slots}
         return NodeOrder(**{**value, **read})
 
 

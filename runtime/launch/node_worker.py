@@ -258,7 +258,7 @@ class NodeWorker:
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
-        seat = Seat(order.name, order.process, loader.wiring, port, observers, staleness, order.rates, alone)
+        seat = Seat(order.name, order.process, loader.wiring, port, observers, staleness, alone)
         try:
             if order.owner is not None:
                 with self._home.declaring:

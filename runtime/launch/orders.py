@@ -102,7 +102,6 @@ class Orders:
             epochs=self.options.epochs,
             staleness=deployment.staleness.epochs,
             exact=deployment.staleness.exact,
-            rates=deployment.rates,
             rate_hz=terms.rate_hz,
             late=deployment.late,
             budget_ms=terms.budget_ms or self._period_ms(),
@@ -250,6 +249,6 @@ class Orders:
             epoch_deadline_s=deployment.epoch_deadline_s,
             start_timeout_s=deployment.start_timeout_s,
             answer_timeout_s=ANSWER_TIMEOUT_S,
-            rated=bool(deployment.rates),
+            rated=deployment.roster.rates is not None,
             overlaps=deployment.overlaps,
         )

@@ -11,6 +11,7 @@ import anyio.from_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
+from hierax.runtime.deployment.rates import TOGETHER
 from hierax.runtime.deployment.read import RATELESS
 from hierax.runtime.launch.audit import Audit, asker
 from hierax.runtime.launch.child import ProcessState
@@ -163,7 +164,6 @@ class Requests:
         if not isinstance(here, bool) or not isinstance(host, str):
             raise SchemaError("expected true or false, and an address", "question.here, question.host")
         processes.orders.deployment.allowance.check_all(change)
-        processes.orders.deployment.refuse_rates("a change of what runs")
         await self._check(change)
         terms = {name: _terms_of(query, name) for name in new_nodes(change)}
         self._check_rates(terms)
@@ -202,6 +202,8 @@ class Requests:
         """Who asks may not have read the deployment file, as who reads a snippet for it has."""
         deployment = self._processes.orders.deployment
         for name, each in terms.items():
+            if each.fails_alone and deployment.roster.rates is not None:
+                raise HieraxError(f"node {name!r} cannot have 'on_loss: detach': {TOGETHER}")
             is_world = name == deployment.roster.world
             if each.rate_hz is not None and not deployment.staleness.has_rate(is_world=is_world):
                 raise HieraxError(f"node {name!r} cannot have a rate of {each.rate_hz:g} Hz: {RATELESS}")

@@ -78,17 +78,22 @@ class Plan:
     told_s: float  # when those that are waited for were last told
     replaced: Mapping[str, str]  # by node that is replaced, its old process
     stage: Stage = Stage.PREPARE
-    states: dict[str, bytes] = field(default_factory=dict)
+    states: dict[str, tuple[bytes, bytes]] = field(default_factory=dict)
 
     @property
     def requests(self) -> list[Request]:
         return [*self.along, *([] if self.request is None else [self.request])]
 
     @property
-    def tried(self) -> str:
+    def replaces(self) -> str:
         """The node in it that replaces another one; empty: there is none."""
         change = None if self.request is None else self.request.change
         return change.name if isinstance(change, Replace) else ""
+
+    @property
+    def tried(self) -> str:
+        """The node in it whose first epoch is a trial; empty: there is none. With rates no epoch is done again."""
+        return self.replaces if self.roster.timing is None else ""
 
     @property
     def undone(self) -> str:
@@ -272,7 +277,7 @@ class Members:
             self.trial = self._trial(name, self.roster, self.processes[name], self.born[name], name in self.alone)
         self.alone = frozenset(self.alone_in(plan))
         self.failures = {name: why for name, why in self.failures.items() if name not in plan.roster.nodes}
-        self.roster = plan.roster
+        self.roster = plan.roster.as_of(epoch)
         self.processes = dict(plan.processes)
         self.lost.clear()
         self._given_up.clear()
@@ -283,8 +288,8 @@ class Members:
             if (of and of != key) or name == plan.undone
         }
         fresh = (plan.version, epoch, key)
-        if plan.tried:
-            self.born[plan.tried] = fresh
+        if plan.replaces:
+            self.born[plan.replaces] = fresh
         self.born = {name: self.born.get(name, fresh) for name in self.roster.nodes}
         for request in plan.requests:
             self._on_loss.update(request.on_loss)

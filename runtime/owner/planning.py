@@ -24,7 +24,7 @@ class Planning(OwnerPart):
         self.plan: Plan | None = None  # what is prepared; None: nothing
         self.queue: deque[Request] = deque()  # what is asked for, and is not in the plan
         self._proceed = proceed  # to be called when nothing is planned any more, as an epoch may wait for that
-        self._states: dict[str, bytes] = {}
+        self._states: dict[str, tuple[bytes, bytes]] = {}
         self._states_of = 0
 
     # --- what is asked for
@@ -84,7 +84,8 @@ class Planning(OwnerPart):
             return
         back = self.members.back
         undo: list[Request | None] = [request for request in self.queue if isinstance(request.change, Undo)]
-        for request in undo or [*self.queue, None]:  # the epoch cannot be done as it is
+        asked = [] if self._policy.rated and self.members.lost else self.queue  # a change needs a drained epoch
+        for request in undo or [*asked, None]:  # the epoch cannot be done as it is
             if request is not None and not self._can_be_tried(request):
                 continue
             if self._try(request, back):
@@ -156,7 +157,7 @@ class Planning(OwnerPart):
         """A roster without the lost nodes that are to be detached: one after the other, each would wait for all."""
         lost = self.members.lost
         along = []
-        for each in self.queue:
+        for each in () if self._policy.rated else self.queue:
             change = each.change
             if each is request or not isinstance(change, Detach) or (each.key and self.progress.settled):
                 continue
@@ -253,7 +254,7 @@ class Planning(OwnerPart):
                 self._effects.send_order(plan.processes[name], prepare)
             elif name in plan.states:
                 self._effects.send_order(
-                    plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name])
+                    plan.processes[name], TakeOver(plan.version, epoch, attempt, *plan.states[name])
                 )
             else:
                 self._effects.send_order(plan.replaced[name], HandOver(plan.version, epoch, attempt))
@@ -267,19 +268,24 @@ class Planning(OwnerPart):
             return
         if plan.stage is Stage.PREPARE:
             plan.stage = Stage.READY
-            if (self.progress.running or self.progress.held) and not plan.urgent:
+            progress = self.progress
+            if (progress.running or progress.held) and not plan.urgent:
+                return
+            if self._policy.overlaps and not progress.drained and not plan.urgent:
+                self._proceed()
                 return
         self.take_effect(plan)
 
     def _on_state(self, plan: Plan, word: State) -> None:
         if word.name in plan.replaced and word.name not in plan.states:
-            plan.states[word.name] = self._states[word.name] = word.state
+            plan.states[word.name] = self._states[word.name] = (word.state, word.under_way)
             self._states_of = plan.version
             self._send_to_waiting(plan)
 
     def _check_same(self, word: State) -> None:
         """A state that is said again says the same, also when it was handed on long ago."""
-        if word.version == self._states_of and self._states.get(word.name, word.state) != word.state:
+        said = (word.state, word.under_way)
+        if word.version == self._states_of and self._states.get(word.name, said) != said:
             what = f"two states of {word.name} for version {word.version} of the roster differ"
             self._effects.stop(f"{what}: somebody else speaks in the name of {word.name}")
 

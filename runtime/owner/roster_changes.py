@@ -3,13 +3,14 @@
 Every roster that comes out of here is valid as a deployment file's is, if the one that
 went in was; a change that would break it is refused in one line."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.core.graph import check_graph, unreached
 from hierax.runtime.loading.nearest import did_you_mean
+from hierax.schemas.rates import EVERY_EPOCH, Former, Pair, Timing, Turns
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
@@ -77,7 +78,8 @@ def _attach(roster: Roster, change: Attach, version: int, instances: Callable[[s
             raise ChangeError(f"{what}: edge {edge.name} joins two other nodes; it must join one that is attached")
     edges = (*roster.edges, *change.edges)
     _check_hierarchy(roster.world, nodes, edges, what)
-    return _successor(roster, version, nodes, edges, {name: instances(name) for name in sorted(change.nodes)})
+    new = {name: instances(name) for name in sorted(change.nodes)}
+    return _with_timing(roster, _successor(roster, version, nodes, edges, new, change.turns), change.nodes.keys(), what)
 
 
 def _detach(roster: Roster, change: Detach, version: int) -> Roster:
@@ -97,7 +99,7 @@ def _detach(roster: Roster, change: Detach, version: int) -> Roster:
     nodes = {name: node for name, node in roster.nodes.items() if name in staying}
     edges = [edge for edge in roster.edges if edge.lower in nodes and edge.upper in nodes]
     _check_hierarchy(roster.world, nodes, edges, what)
-    return _successor(roster, version, nodes, edges, {})
+    return _with_timing(roster, _successor(roster, version, nodes, edges, {}), (), what)
 
 
 def _replace(roster: Roster, change: Replace, version: int, instances: Callable[[str], int]) -> Roster:
@@ -117,7 +119,9 @@ def _replace(roster: Roster, change: Replace, version: int, instances: Callable[
         edges = (*(edge for edge in edges if name not in edge.pair), *change.edges)
     nodes = {**roster.nodes, name: change.reference}
     _check_hierarchy(roster.world, nodes, edges, what)
-    return _successor(roster, version, nodes, edges, {name: instances(name)})
+    turns = {} if change.turns is None else {name: change.turns}
+    after = _successor(roster, version, nodes, edges, {name: instances(name)}, turns)
+    return _with_timing(roster, after, (), what)
 
 
 def _undo(roster: Roster, change: Undo, version: int) -> Roster:
@@ -136,6 +140,7 @@ def _successor(
     nodes: Mapping[str, Reference],
     edges: Iterable[RosterEdge],
     instances: Mapping[str, int],
+    turns: Mapping[str, Turns] = {},  # of nodes that are new, or have other ones
 ) -> Roster:
     if version <= roster.version:
         raise ValueError(f"roster version {version} does not follow {roster.version}")
@@ -144,7 +149,33 @@ def _successor(
             raise ValueError(f"{name}: instance {instance} does not follow {roster.instance(name)}")
     kept = {name: number for name, number in roster.instances.items() if name in nodes}
     ordered = tuple(sorted(edges, key=lambda edge: edge.pair))
-    return Roster(roster.world, nodes, ordered, version, {**kept, **instances})
+    then = {name: each for name, each in {**roster.turns, **turns}.items() if name in nodes and each != EVERY_EPOCH}
+    return Roster(roster.world, nodes, ordered, version, {**kept, **instances}, then, roster.timing)
+
+
+def _with_timing(old: Roster, new: Roster, came: Collection[str], what: str) -> Roster:
+    """What of a roster's rates counts from its first epoch on. Raises `ChangeError` where it cannot have any."""
+    before = old.rates
+    if before is None:
+        if new.turns or any(edge.delay or edge.gather for edge in new.edges):
+            raise ChangeError(f"{what}: no node has rates in this run; 'rates: true' in its deployment file lets them")
+        return new
+    timing, known = before.timing, {edge.pair: edge for edge in old.edges}
+    others = {name for name in new.nodes if new.turns.get(name) != old.turns.get(name)}
+    changed: dict[Pair, Former | None] = {}
+    for edge in new.edges:
+        pair, was = edge.pair, known.get(edge.pair)
+        if was is None:
+            changed[pair] = None
+        elif pair in timing.changed:
+            changed[pair] = timing.changed[pair]
+        elif edge.upper in others or edge.delay != was.delay:
+            changed[pair] = before.former(*pair)
+    fresh = {name for name in new.nodes if name in timing.fresh or name in others or name in came}
+    since = {name: epoch for name, epoch in timing.since.items() if name in new.nodes and name not in fresh}
+    began = {pair: each for pair, each in timing.began.items() if pair in known and pair not in changed}
+    began = {pair: each for pair, each in began.items() if pair in new.pairs}
+    return replace(new, timing=Timing(since, began, frozenset(fresh), changed))
 
 
 def _check_known(name: str, roster: Roster, what: str) -> None:

@@ -18,7 +18,7 @@ from hierax.runtime.core.graph import check_graph
 from hierax.runtime.execution.report import Json
 from hierax.runtime.host.streams import started_deaf
 from hierax.runtime.sim.journal import KINDS, Tally
-from hierax.runtime.sim.rated import NOT_WITH_RATES, rates_of
+from hierax.runtime.sim.rated import NOT_WITH_RATES, with_rates
 from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate
 from hierax.schemas.roster import Roster
@@ -41,8 +41,7 @@ class Scenarios(NamedTuple):
         if not self.rated:
             return draw_scenario(seed, self.faults, self.epochs)
         drawn = draw_scenario(seed, tuple(kind for kind in self.faults if kind in RATED_FAULTS), self.epochs)
-        rates = rates_of(seed, drawn.roster)
-        return replace(drawn, rates=rates, proposals=(), on_loss={}, left_dead=frozenset(), trials_fail=False)
+        return with_rates(drawn)
 
 
 ANY = Scenarios()
@@ -158,7 +157,8 @@ def _without_node(roster: Roster, name: str) -> Roster | None:
         check_graph(roster.world, nodes, [edge.pair for edge in edges])
     except HierarchyError:
         return None
-    return replace(roster, nodes=nodes, edges=edges)
+    turns = {other: each for other, each in roster.turns.items() if other != name}
+    return replace(roster, nodes=nodes, edges=edges, turns=turns)
 
 
 def _done(chunks: Sequence[range], scenarios: Scenarios, jobs: int) -> Generator[list[Result], None, None]:

@@ -51,7 +51,7 @@ class Checker:
         self._setting = OperatorSetting(scenario.seed)
         self._hierarchies: dict[bytes, Hierarchy] = {}
         self._processes: dict[int, Mapping[str, str]] = {}
-        self._rosters: dict[int, bytes] = {}
+        self._rosters: dict[int, Roster] = {}
         self._starts: dict[tuple[int, int], Start] = {}
         self._ends: list[End] = []
         self._undone: set[tuple[int, int]] = set()
@@ -99,8 +99,7 @@ class Checker:
 
     def prepared(self, roster: Roster) -> None:
         """A process is told of a version: no number is used for two rosters."""
-        plain = encode_value(roster.plain())
-        if self._rosters.setdefault(roster.version, plain) != plain:
+        if not self._rosters.setdefault(roster.version, roster).is_as(roster):
             self.violate(f"two rosters have version {roster.version}")
 
     def begins(self, base: int, turn: Turn, roster: Roster, processes: Mapping[str, str]) -> None:

@@ -110,7 +110,7 @@ class SimProcess(Host):
         self._rng = Random(f"{around.scenario.seed}/{token}")
         self.is_world = name == around.scenario.roster.world
         checker = around.checker
-        looks = Unlooked if around.scenario.rates else Inspector
+        looks = Unlooked if around.scenario.rated else Inspector
         self.inspector = looks(name, token, checker.violate, checker.process_of, self._starts, self._calls)
         storage.tears = self._tears
 

@@ -4,53 +4,76 @@ The checks apart from the states are left out where they are about attempts: of 
 node takes in may be of an earlier one."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from random import Random
 
 from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.core.rates import Rates, Turns
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.sim.checker import Checker, End
 from hierax.runtime.sim.inspection import Inspector, Turn
-from hierax.runtime.sim.journal import CHANGE, FAULT, KINDS, ORDER, VERDICT, WORD
-from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario
+from hierax.runtime.sim.journal import FAULT, VERDICT, WORD
+from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario, draw_change
 from hierax.schemas.messages import Header
-from hierax.schemas.roster import Roster
+from hierax.schemas.rates import EVERY_EPOCH, Rates, Turns
+from hierax.schemas.roster import Change, Detach, Replace
 
 MAX_EVERY, MAX_DELAY = 5, 6
 NOT_WITH_RATES = frozenset(
     {
-        *((ORDER, kind) for kind in ("HandOver", "TakeOver")),
-        *((WORD, kind) for kind in ("State", "Taken", "Failed", "Propose")),
+        (WORD, "Failed"),
         *((VERDICT, kind) for kind in ("INCOMPLETE", "AGAIN")),
-        *((CHANGE, kind) for kind in KINDS[CHANGE]),
         *((FAULT, kind) for kind in FAULTS if kind not in RATED_FAULTS),
     }
 )
-"""What cannot occur: nothing is changed, no node fails alone, and an epoch has one attempt."""
+"""What cannot occur: no node fails alone, and an epoch has one attempt."""
 
 
-def rates_of(seed: int, roster: Roster) -> Rates:
-    """The rates of a seed's scenario."""
-    edges = roster.edges
-    sensed = [edge.pair for edge in edges if edge.sense is not None]
-    names = sorted(roster.nodes.keys() - {roster.world})
-    return draw_rates(Random(f"{seed}/rates"), names, [edge.pair for edge in edges], sensed)
+def with_rates(scenario: Scenario) -> Scenario:
+    """The same with rates, also of what is attached, and with other ones of some nodes that replace another."""
+    rng, roster = Random(f"{scenario.seed}/rates"), scenario.roster
+    sensed = [edge.pair for edge in roster.edges if edge.sense is not None]
+    rates = draw_rates(rng, sorted(roster.nodes.keys() - {roster.world}), list(roster.pairs), sensed)
+    proposals = tuple(replace(each, change=_rated(rng, each.change), alone=False) for each in scenario.proposals)
+    roster = roster.with_rates(rates)
+    return replace(scenario, roster=roster, proposals=proposals, on_loss={}, left_dead=frozenset(), trials_fail=False)
+
+
+def _rated(rng: Random, change: Change) -> Change:
+    if isinstance(change, Replace):
+        return replace(change, turns=_turns(rng)) if rng.random() < 0.6 else change
+    if isinstance(change, Detach):
+        return change
+    edges = tuple(
+        replace(edge, delay=_delay(rng), gather=edge.sense is not None and rng.random() < 0.3) for edge in change.edges
+    )
+    return replace(change, edges=edges, turns={name: _turns(rng) for name in sorted(change.nodes)})
+
+
+def draw_rated_change(rng: Random, there: list[str], generation: int) -> Change:
+    """A change of a hierarchy with these nodes, with rates."""
+    return _rated(rng, draw_change(rng, there, generation))
+
+
+def _turns(rng: Random) -> Turns:
+    every = rng.choice((1, 1, rng.randint(2, MAX_EVERY)))
+    return Turns(every, rng.randrange(every))
+
+
+def _delay(rng: Random) -> int:
+    return rng.randint(1, MAX_DELAY) if rng.random() < 0.5 else 0
 
 
 def draw_rates(rng: Random, names: Sequence[str], pairs: Sequence[Pair], sensed: Sequence[Pair]) -> Rates:
     """Rates of some nodes but the world and of some edges, of which those that are sensed may gather; none at all where
     there is no such node."""
-    turns: dict[str, Turns] = {}
-    for name in names:
-        every = rng.choice((1, 1, rng.randint(2, MAX_EVERY)))
-        if every > 1:
-            turns[name] = Turns(every, rng.randrange(every))
-    delays = {pair: rng.randint(1, MAX_DELAY) for pair in pairs if rng.random() < 0.5}
+    turns = {name: drawn for name in names if (drawn := _turns(rng)) != EVERY_EPOCH}
+    delays = {pair: delay for pair in pairs if (delay := _delay(rng))}
     gathers = frozenset(pair for pair in sensed if rng.random() < 0.3)
-    return Rates(turns, delays, gathers) or Rates(dict.fromkeys(names[:1], Turns(2)))
+    says_anything = turns or delays or gathers
+    return Rates(turns, delays, gathers) if says_anything else Rates(dict.fromkeys(names[:1], Turns(2)))
 
 
 class RatedChecker(Checker):
@@ -58,7 +81,7 @@ class RatedChecker(Checker):
 
     def __init__(self, scenario: Scenario, trace: Callable[[str], None]) -> None:
         super().__init__(scenario, trace)
-        self._unrolled = [Unrolled.initial(self.hierarchy_of(scenario.roster), scenario.rates)]
+        self._unrolled = [Unrolled.initial(self.hierarchy_of(scenario.roster), scenario.roster.rates or Rates())]
 
     def sends(self, header: Header) -> None:
         """Messages of an epoch may be said again."""
@@ -69,16 +92,18 @@ class RatedChecker(Checker):
         """Nodes begin epochs at different times."""
 
     def commits(self, turn: Turn, encoded: Mapping[str, bytes]) -> None:
-        epoch = turn.epoch
-        while len(self._unrolled) <= epoch:
-            self._unrolled.append(unrolled_update(self._unrolled[-1]))
-        now = self._unrolled[epoch]
+        epoch, start = turn.epoch, self._starts[turn.epoch, turn.version]
+        last, hierarchy = self._unrolled[epoch - 1], self.hierarchy_of(start.roster)
+        if hierarchy is not last.active.hierarchy:
+            last = last.under(hierarchy, start.roster.rates or Rates(), start.states)
+        now = unrolled_update(last)
+        self._unrolled[epoch:] = [now]
         states = now.active.states
         if epoch == self._scenario.epochs and not self.excused:  # a drained one: all are done with it
             for name in sorted(encoded):
                 if encoded[name] != encode_state(*states[name]):
                     self.violate(f"{name}: its state after the last epoch is not {states[name]}")
-        roster = self._starts[epoch, turn.version].roster
+        roster = start.roster
         chain = DigestChain(roster.content_hash(), epoch - 1, self._after(epoch - 1).digest)
         digest = chain.commit(epoch, now.digests.get(roster.world, NO_DIGEST))
         self._candidates[epoch] = End(epoch, roster, states, digest)

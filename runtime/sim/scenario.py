@@ -5,10 +5,9 @@ from dataclasses import dataclass, field
 from random import Random
 
 from hierax.runtime.core.graph import Pair
-from hierax.runtime.core.rates import NO_RATES, Rates
 from hierax.runtime.sim.nodes import MODULE
 from hierax.schemas.control import Propose
-from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
+from hierax.schemas.roster import FUNCTIONS, Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"
 LOSS, DOUBLE, REORDER, DELAY, PARTITION = "loss", "double", "reorder", "delay", "partition"
@@ -111,7 +110,11 @@ class Scenario:
     # How long an epoch may take before it is asked who waits for whom; None: for ever, so that nothing but what befalls
     # the run itself can make it go on.
     epoch_deadline_s: float | None = 0.3
-    rates: Rates = NO_RATES  # with them nothing is changed, nobody detached, and of what is forged strays only
+
+    @property
+    def rated(self) -> bool:
+        """Whether nodes have rates: then no node fails alone, and of what is forged there are strays only."""
+        return self.roster.timing is not None
 
     @property
     def alone(self) -> tuple[str, ...]:
@@ -176,12 +179,12 @@ def _node(rng: Random, name: str, generation: int) -> Reference:
 
 
 def _edge(rng: Random, lower: str, upper: str) -> RosterEdge:
-    functions = (
+    sense, task, context = (
         None if target is None else Reference(f"{MODULE}:{target}", {"name": f"{lower}-{upper}-{kind}"})
-        for kind in ("sense", "task", "context")
+        for kind in FUNCTIONS
         for target in [rng.choice((None, "Mix", "Mix", "DrawingMix"))]
     )
-    return RosterEdge(lower, upper, *functions)
+    return RosterEdge(lower, upper, sense, task, context)
 
 
 def _proposals(rng: Random, roster: Roster, span_s: float) -> tuple[Proposal, ...]:
@@ -189,7 +192,7 @@ def _proposals(rng: Random, roster: Roster, span_s: float) -> tuple[Proposal, ..
     proposals = []
     there = sorted(roster.nodes)
     for number in range(rng.choice((0, 0, 1, 1, 2, 3))):
-        change = _change(rng, there, number + 1)
+        change = draw_change(rng, there, number + 1)
         if isinstance(change, Attach):
             there = sorted({*there, *change.nodes})
         alone = isinstance(change, Attach) and rng.random() < 0.7
@@ -197,7 +200,8 @@ def _proposals(rng: Random, roster: Roster, span_s: float) -> tuple[Proposal, ..
     return tuple(proposals)
 
 
-def _change(rng: Random, there: list[str], generation: int) -> Change:
+def draw_change(rng: Random, there: list[str], generation: int) -> Change:
+    """A change of a hierarchy that has these nodes; whether it can be made is not looked at."""
     kind = rng.choice(("attach", "attach", "detach", "replace", "replace"))
     others = [name for name in there if name != WORLD_NAME]
     if kind == "attach" or not others:

@@ -126,7 +126,7 @@ class Simulation:
     def __init__(self, scenario: Scenario, trace: list[str] | None) -> None:
         clock = Clock()
         journal = Journal(clock, trace)
-        checker = (RatedChecker if scenario.rates else Checker)(scenario, journal.trace)
+        checker = (RatedChecker if scenario.rated else Checker)(scenario, journal.trace)
         network = Network(clock, Random(f"{scenario.seed}/network"), journal, checker)
         self._scenario = scenario
         self.around = Surroundings(scenario, clock, journal, checker, network)  # what the processes stand in

@@ -32,7 +32,7 @@ def occupy(around: Surroundings, process: SimProcess, supervision: Supervision) 
         process.world = SimWorld(around, process, supervision)
     else:
         port = SimPort(around.network, process)
-        seat = Seat(process.name, process.token, process.wire, port, rates=around.scenario.rates)
+        seat = Seat(process.name, process.token, process.wire, port)
         process.member = Member(seat, process.say, Checkpoints(Slots(process.storage)))
 
 
@@ -100,11 +100,11 @@ class SimWorld:
             epoch_deadline_s=scenario.epoch_deadline_s,
             start_timeout_s=2.0,
             answer_timeout_s=0.8,
-            rated=bool(scenario.rates),
-            overlaps=bool(scenario.rates),
+            rated=scenario.rated,
+            overlaps=scenario.rated,
         )
         pacemaker = Pacemaker(DigestChain(scenario.roster.content_hash()), scenario.epochs, process.publish, clock)
-        seat = Seat(process.name, process.token, process.wire, self._port, rates=scenario.rates)
+        seat = Seat(process.name, process.token, process.wire, self._port)
         own = (seat, process.send_order, self._supervision, slots)
         uncertain: OnUncertainAct = "repeat" if scenario.on_uncertain_act == "repeat" else "skip"
         return WorldMember(*own, pacemaker, policy, clock, living, roster, on_uncertain_act=uncertain)

@@ -113,12 +113,14 @@ def test_any_msgpack_library_reads_them() -> None:
 
 
 def test_what_is_inside_comes_back() -> None:
-    assert decode_under_way(b"") == (None, (), ())
+    assert decode_under_way(b"") == (None, (), (), {})
     forgotten = (("arm", "obs", 5, 2),)
-    sensed, said, before = decode_under_way(encode_under_way((7, {"lost": False}), [MESSAGE], forgotten))
-    assert before == forgotten
-    assert sensed == (7, {"lost": False})
-    assert [encode_message(message) for message in said] == [MESSAGE]
+    for gathered in ({}, {"world": ((6, "seen"), (7, "seen again"))}):
+        under_way = decode_under_way(encode_under_way((7, {"lost": False}), [MESSAGE], forgotten, gathered))
+        assert under_way.forgotten == forgotten
+        assert under_way.sensed == (7, {"lost": False})
+        assert under_way.gathered == gathered
+        assert [encode_message(message) for message in under_way.said] == [MESSAGE]
     assert decode_roster(WORLD.roster) == ROSTER
     belief, policy, actions = decode_state(encode_state({"pose": np.eye(2)}, "follow", (1, "grip")))
     assert np.array_equal(belief["pose"], np.eye(2))

@@ -32,6 +32,7 @@ from hierax.schemas.control import (
     Unchanged,
 )
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header, Message, decode_message, encode_message
+from hierax.schemas.rates import Began, Rates, Timing, Turns
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 from hierax.schemas.values import decode_value, encode_value
 from support.tagged import tagged
@@ -55,6 +56,14 @@ _ROSTER = Roster(
     nodes={"world": Reference("package.module:World"), "arm": _REFERENCE},
     edges=(RosterEdge("world", "arm", sense=Reference("package.module:seen"), context=_REFERENCE),),
 )
+
+_RATES = Rates(
+    {"arm": Turns(5, 2)},
+    {("world", "arm"): 3},
+    frozenset({("world", "arm")}),
+    Timing({"arm": 7}, {("world", "arm"): Began(7, 2, False)}, frozenset({"arm"}), {("world", "arm"): None}),
+)
+_RATED = _ROSTER.with_rates(_RATES)
 
 MESSAGES = {
     "minimal": Message(Header(OBSERVATIONS, "world", "arm", 1), ()),
@@ -99,13 +108,13 @@ CONTROL: tuple[Control, ...] = (
     Prepare(_ROSTER.plain(), ("arm",), ("arm",)),
     Unchanged(3, 2),
     HandOver(3, 217, 1),
-    TakeOver(3, 217, 1, b"\x00state"),
+    TakeOver(3, 217, 1, b"\x00state", b"\x00said"),
     AskStatus(5),
     Resend(218, 0, ("arm", "spatial")),
     Dismiss("another process runs it", again=True),
     Join("arm", "b7e1", "", 217, True, "", 3, 1),
     Ready("arm", "b7e1", 3, "no such class ü"),
-    State("arm", 3, b"\x00state"),
+    State("arm", 3, b"\x00state", b"\x00said"),
     Taken("arm", 3, ""),
     Fetch("arm", "b7e1", 3),
     Status("arm", 5, 218, 0, (("world", OBSERVATIONS), ("spatial", CONTEXT)), "observe of arm", 3),
@@ -122,6 +131,7 @@ VALUES = {
     "large-in-place": {"image": (np.arange(200 * 100) % 251).astype(np.uint8).reshape(200, 100)},
     "roster-content": _ROSTER.content(),
     "roster": _ROSTER.plain(),
+    "roster-rates": _RATED.plain(),
 }
 
 

@@ -132,11 +132,21 @@ class Live:
         namespace: network namespace that it runs in; empty: this one.
         more: further lines of the deployment file.
         pace_s: what the world waits in each epoch; the less, the more of the processor goes into epochs.
+        settings: of the deployment file, as ``--set`` has them.
         options: of ``hierax launch``.
     """
 
-    def __init__(self, folder: Path, *options: str, namespace: str = "", pace_s: float = 0.003, more: str = "") -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *options: str,
+        namespace: str = "",
+        pace_s: float = 0.003,
+        more: str = "",
+        settings: Sequence[str] = (),
+    ) -> None:
         self.folder = folder
+        self._settings = [argument for setting in settings for argument in ("--set", setting)]
         self.namespace = namespace
         self.file = folder / "live.yaml"
         self._stop = folder / "stop"
@@ -145,7 +155,9 @@ class Live:
         self._client: LaunchClient | None = None
         self._asking: subprocess.Popen[str] | None = None
         self._pace_s = pace_s
-        self.launch = self.start("launch", str(self.file), "--format", "json", *options, namespace=namespace)
+        self.launch = self.start(
+            "launch", str(self.file), "--format", "json", *self._settings, *options, namespace=namespace
+        )
         until(lambda: list((folder / "hierax").glob("*.json")), "the launch")
         until(lambda: self.epoch > 0, "the first epoch")
 
@@ -229,7 +241,7 @@ class Live:
     def repeated(self, epochs: int, *schedule: str) -> dict[str, Any]:
         """The report of ``hierax run`` with changes as ``--at`` has them."""
         at = [argument for change in schedule for argument in ("--at", change)]
-        return run_here(str(self.file), "--epochs", str(epochs), *at)
+        return run_here(str(self.file), "--epochs", str(epochs), *self._settings, *at)
 
     def is_repeated_by(self, *schedule: str) -> None:
         """End it, and compare it with one process under the same changes."""

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from hierax.runtime.core.digest import encode_state
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.core.rates import Rates
 from hierax.runtime.engine.effects import Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.table import Phase, Verdict
@@ -16,6 +15,7 @@ from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.sim.rated import draw_rates
 from hierax.schemas.checkpoint import decode_state
 from hierax.schemas.messages import Header, Message
+from hierax.schemas.rates import Rates
 
 MOST_KILLS = 40  # in one run: where more die than can come back, none comes to its end
 
@@ -91,7 +91,7 @@ class RatedNetwork:
         self._version, self._instances = 0, dict.fromkeys(hierarchy.nodes, 0)
         self.engines: dict[str, RatedEngine] = {}
         for name in hierarchy.nodes:
-            self.engines[name] = RatedEngine(self._wiring(name), _Site(self, name), rates=rates)
+            self.engines[name] = RatedEngine(self._wiring(name), _Site(self, name))
         self._world = hierarchy.world
         self.killing = killing
 
@@ -102,7 +102,7 @@ class RatedNetwork:
     def _wiring(self, name: str) -> Wiring:
         edges = self.hierarchy.bound_edges
         tasking = frozenset(pair for pair, edge in edges.items() if edge.task)
-        place = Place(self._version, instances=dict(self._instances), tasking=tasking)
+        place = Place(self._version, instances=dict(self._instances), tasking=tasking, rates=self.rates)
         return Wiring(self.hierarchy.bound[name], tuple(edges.values()), place)
 
     def run(self, epochs: int, drains: bool = False) -> None:
@@ -147,7 +147,7 @@ class RatedNetwork:
         killing, self.killing = self.killing, 0.0
         saved = self.saved.get(name)
         wiring = self._wiring(name)
-        self.engines[name] = RatedEngine(wiring, _Site(self, name), rates=self.rates, saved=saved, comes_back=True)
+        self.engines[name] = RatedEngine(wiring, _Site(self, name), saved=saved, joins=True)
         for other in self.rng.sample(sorted(self.engines), len(self.engines)):
             self.engines[other].prepare(self._wiring(other))
         self.killing = killing

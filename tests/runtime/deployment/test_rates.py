@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from hierax.runtime.core.rates import NO_RATES, Rates, Turns
 from hierax.runtime.deployment.deployment import DeploymentError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import read_attach
+from hierax.schemas.rates import Rates, Turns
 
 EDGE = "edges.camera -> motion"
 
@@ -18,9 +18,12 @@ def test_rates_are_by_node_and_edge() -> None:
     said = ["nodes.motion.every=4", "nodes.motion.offset=3", f"{EDGE}.delay=2", f"{EDGE}.gather=true"]
     pair = ("camera", "motion")
     expected = Rates({"motion": Turns(4, 3)}, {pair: 2}, frozenset({pair}))
-    assert read_deployment("servo", said).rates == expected
-    assert read_deployment("servo").rates == NO_RATES
-    assert read_deployment("servo", said).roster == read_deployment("servo").roster
+    roster = read_deployment("servo", said).roster
+    assert roster.rates == expected
+    plain, may = read_deployment("servo").roster, read_deployment("servo", ["rates=true"]).roster
+    assert plain.rates is None
+    assert may.rates == Rates()
+    assert may.content_hash() == plain.content_hash() != roster.content_hash()
 
 
 @pytest.mark.parametrize(
@@ -44,12 +47,15 @@ def test_what_means_nothing_is_told_in_a_line(settings: list[str], what: str) ->
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("node", ["every: 2", "every: 3, offset: 1"])
-def test_nodes_that_join_a_run_have_no_rates(tmp_path: Path, node: str) -> None:
+def test_nodes_that_join_a_run_may_have_rates(tmp_path: Path) -> None:
     snippet = tmp_path / "more.yaml"
     snippet.write_text(
-        f'nodes:\n  more: {{class: "hierax.nodes.servo:MotionNode", {node}}}\n'
-        "edges:\n  camera -> more: {sense: hierax.nodes.servo:position}\n"
+        'nodes:\n  more: {class: "hierax.nodes.servo:MotionNode", every: 3, offset: 1}\n'
+        "edges:\n  camera -> more: {sense: hierax.nodes.servo:position, delay: 2, gather: true}\n"
     )
-    with pytest.raises(DeploymentError, match=r"more\.yaml:2: nodes\.more\.every: rates are for whole deployments"):
+    attach = read_attach(snippet, read_deployment("servo"))
+    assert attach.turns == {"more": Turns(3, 1)}
+    assert [(edge.delay, edge.gather) for edge in attach.edges] == [(2, True)]
+    snippet.write_text(snippet.read_text().replace("sense: hierax.nodes.servo:position, ", ""))
+    with pytest.raises(DeploymentError, match=r"more\.yaml:4: edges\.camera -> more\.gather: means something only"):
         read_attach(snippet, read_deployment("servo"))

@@ -19,13 +19,13 @@ from hierax.runtime.core.digest import encode_state
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.core.process import ActiveHierarchy, update
-from hierax.runtime.core.rates import NO_RATES, Rates, Turns
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.messages import Message
+from hierax.schemas.rates import Rates, Turns
 
 EPOCHS = 12
 
@@ -83,8 +83,8 @@ def test_any_order_of_the_formal_update_gives_the_same(one: int, two: int, rng: 
 @pytest.mark.parametrize("seed", range(10))
 def test_without_rates_it_is_the_update_of_the_paper(seed: int) -> None:
     hierarchy = random_hierarchy(seed)
-    plain, unrolled = ActiveHierarchy.initial(hierarchy), Unrolled.initial(hierarchy, NO_RATES)
-    network = RatedNetwork(hierarchy, NO_RATES, seed)
+    plain, unrolled = ActiveHierarchy.initial(hierarchy), Unrolled.initial(hierarchy, Rates())
+    network = RatedNetwork(hierarchy, Rates(), seed)
     for _ in range(4):
         plain, unrolled = update(plain), unrolled_update(unrolled)
     network.run(4)
@@ -157,8 +157,8 @@ def test_a_planted_mistake_is_found(mistake: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(*MISTAKES[mistake])
     for seed in range(40):
         hierarchy = random_hierarchy(seed, 5)
-        direct = Direct(hierarchy, random_rates(seed, hierarchy))
-        network = RatedNetwork(hierarchy, direct.rates, seed)
+        rates = random_rates(seed, hierarchy)
+        direct, network = Direct(hierarchy, rates), RatedNetwork(hierarchy, rates, seed)
         network.run(EPOCHS)
         if network.commits != commits_of(direct, hierarchy.world):
             return

@@ -5,25 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.direct import Direct
+from support.direct import Direct, Period
 
 from hierax.nodes.servo import CameraNode, MeasuredPosition, MotionNode, SlidingWorld, camera_task, position
 from hierax.runtime.commands.main import main
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import DigestChain
-from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.rates import Rates, Turns
-from hierax.runtime.deployment.deployment import DeploymentError
+from hierax.runtime.deployment.deployment import Deployment, DeploymentError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import read_schedule
 from hierax.runtime.execution.dry import run_dry
 from hierax.runtime.execution.single import SingleRun, run
-from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.node_loader import wait_for
 from hierax.runtime.scripting.hierarchy import Hierarchy
+from hierax.schemas.rates import Rates, Turns
 
 MOTION = "edges.camera -> motion"
+
+
+def rates_in(deployment: Deployment) -> Rates:
+    assert deployment.roster.rates is not None
+    return deployment.roster.rates
+
+
 SLOW = ("nodes.motion.every=5", "nodes.motion.offset=2", f"{MOTION}.delay=3")
 
 
@@ -32,7 +37,7 @@ def test_a_run_is_what_the_direct_implementation_says(settings: tuple[str, ...])
     deployment = read_deployment("servo", settings)
     report = run(deployment, epochs=20, seed=3)
     hierarchy = build_hierarchy(deployment.roster, OperatorSetting(3, wait_for), deployment.allowance)
-    direct, chain = Direct(hierarchy, deployment.rates), DigestChain(deployment.roster.content_hash())
+    direct, chain = Direct(hierarchy, rates_in(deployment)), DigestChain(deployment.roster.content_hash())
     for epoch in range(1, 21):
         chain.commit(epoch, direct.digest("world", epoch))
     assert report.digest == chain.digest.hex()
@@ -51,13 +56,10 @@ def test_a_dry_run_goes_on_until_every_node_has_taken_part() -> None:
     assert run_dry(read_deployment("servo", ["nodes.motion.every=7"])) > every_epoch
 
 
-def test_a_launch_refuses_what_it_does_not_know_with_rates_before_it_starts_anything(tmp_path: Path) -> None:
-    output = tmp_path / "output"
-    deployment = read_deployment("servo", [*SLOW, "nodes.camera.on_loss=detach"])
-    with pytest.raises(DeploymentError, match="'on_loss: detach' does not know them yet") as raised:
-        launch(deployment, epochs=3, seed=0, output=output)
-    assert str(raised.value).startswith("--set nodes.motion.every=5: nodes.motion.every: ")
-    assert not output.exists()
+def test_a_node_with_rates_does_not_fail_alone() -> None:
+    with pytest.raises(DeploymentError, match=r"on_loss: detach means nothing here: where nodes have rates") as raised:
+        read_deployment("servo", [*SLOW, "nodes.camera.on_loss=detach"])
+    assert str(raised.value).startswith("--set nodes.camera.on_loss=detach: nodes.camera.on_loss: ")
 
 
 def test_rates_do_not_go_with_links_that_carry_few_messages() -> None:
@@ -65,17 +67,62 @@ def test_rates_do_not_go_with_links_that_carry_few_messages() -> None:
         read_deployment("servo", [*SLOW, "low_latency=true"])
 
 
-def test_changes_and_nodes_that_fail_alone_are_refused() -> None:
+def snippet(folder: Path, rates: str = "", edge: str = "") -> str:
+    """The path of a file with another node of motion, and its edge where something is said of that."""
+    path = folder / "motion.yaml"
+    text = f'nodes:\n  motion: {{class: "hierax.nodes.servo:MotionNode"{rates}}}\n'
+    if edge:
+        position = "hierax.nodes.servo:position"
+        text += f"edges:\n  camera -> motion: {{sense: {position}, context: {position}, {edge}}}\n"
+    path.write_text(text)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("rates", "edge", "then"),
+    [
+        (", every: 2", "", Rates({"motion": Turns(2)}, {("camera", "motion"): 3})),
+        (", every: 1", "delay: 0", Rates()),
+        ("", "delay: 7", Rates({"motion": Turns(5, 2)}, {("camera", "motion"): 7})),
+        ("", "", Rates({"motion": Turns(5, 2)}, {("camera", "motion"): 3})),
+    ],
+)
+def test_what_replaces_a_node_keeps_its_rates_or_brings_others(
+    rates: str, edge: str, then: Rates, tmp_path: Path
+) -> None:
     deployment = read_deployment("servo", SLOW)
-    with pytest.raises(DeploymentError, match="--at"):
-        run(deployment, epochs=3, seed=0, schedule=read_schedule(["2:detach:motion"], deployment))
-    with pytest.raises(DeploymentError, match="on_loss: detach"):
-        run(read_deployment("servo", [*SLOW, "nodes.camera.on_loss=detach"]), epochs=3, seed=0)
-    single = SingleRun(deployment, epochs=3, seed=0)
-    change = read_schedule(["2:detach:motion"], deployment)[0].change
-    with pytest.raises(HieraxError, match="a change of a run"):
-        single.change(change, {})
-    single.close()
+    path = snippet(tmp_path, rates, edge)
+    schedule = read_schedule([f"12:replace:motion:{path}"], deployment)
+    report = run(deployment, epochs=25, seed=3, schedule=schedule)
+    setting = OperatorSetting(3, wait_for)
+    before, after = (build_hierarchy(deployment.roster, setting, deployment.allowance) for _ in range(2))
+    direct = Direct(before, rates_in(deployment), Period(12, after, then, frozenset({"motion"})))
+    assert report.nodes["motion"].belief == direct.after("motion", 25).belief
+    assert report.nodes["camera"].belief == direct.after("camera", 25).belief
+
+
+def test_a_run_without_rates_gets_none_but_where_its_file_says_so(tmp_path: Path) -> None:
+    schedule = [f"5:replace:motion:{snippet(tmp_path, ', every: 2')}"]
+    with pytest.raises(DeploymentError, match=r"no node has rates in this run; 'rates: true' in its deployment file"):
+        read_schedule(schedule, read_deployment("servo"))
+    deployment = read_deployment("servo", ["rates=true"])
+    plain = run(read_deployment("servo"), epochs=10, seed=0)
+    assert run(deployment, epochs=10, seed=0).digest == plain.digest
+    changed = run(deployment, epochs=10, seed=0, schedule=read_schedule(schedule, deployment))
+    assert changed.digest != plain.digest
+
+
+def test_a_change_of_a_run_that_goes_on_takes_effect_after_a_drained_epoch() -> None:
+    deployment = read_deployment("servo", SLOW)
+    single = SingleRun(deployment, epochs=20, seed=0)
+    epochs = single.epochs()
+    while next(epochs)[0] < 7:
+        pass
+    schedule = read_schedule(["2:detach:motion"], deployment)
+    first = single.change(schedule[0].change, {})
+    assert [epoch for epoch, _ in epochs] == list(range(8, 21))
+    again = read_schedule([f"{first}:detach:motion"], deployment)
+    assert single.report().digest == run(deployment, epochs=20, seed=0, schedule=again).digest
 
 
 def test_a_hierarchy_in_python_may_have_rates() -> None:
@@ -83,7 +130,7 @@ def test_a_hierarchy_in_python_may_have_rates() -> None:
     hierarchy.add("motion", MotionNode, every=4).join("world", "camera", sense=MeasuredPosition, task=camera_task)
     hierarchy.join("camera", "motion", sense=position, context=position, delay=2, gather=True)
     pair = ("camera", "motion")
-    assert hierarchy.deployment().rates == Rates({"motion": Turns(4)}, {pair: 2}, frozenset({pair}))
+    assert rates_in(hierarchy.deployment()) == Rates({"motion": Turns(4)}, {pair: 2}, frozenset({pair}))
     assert "hierax.nodes.servo:position" in hierarchy.targets()
 
 

@@ -1,0 +1,180 @@
+"""How often nodes take part in epochs, and from when on what is predicted counts below."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.limits import MAX_EPOCHS_APART
+from hierax.schemas.values import Value, fits
+
+Pair = tuple[str, str]  # the names of an edge's nodes, lower first
+
+
+@dataclass(frozen=True)
+class Turns:
+    """The epochs n ≡ offset (mod every), in which a node takes part."""
+
+    every: int = 1
+    offset: int = 0  # from 0, less than `every`
+
+    def include(self, epoch: int) -> bool:
+        return (epoch - self.offset) % self.every == 0
+
+    def last(self, epoch: int) -> int:
+        """The last one up to an epoch; 0: there was none."""
+        return max(epoch - (epoch - self.offset) % self.every, 0)
+
+    def plain(self) -> Value:
+        return (self.every, self.offset)
+
+    @staticmethod
+    def read(value: Value, where: str) -> "Turns":
+        """Read them from a value. Raises `SchemaError` if it is none."""
+        if not fits(value, tuple[int, int]) or not 0 <= value[1] < value[0] <= MAX_EPOCHS_APART:
+            what = f"expected every and offset, 0 ≤ offset < every ≤ {MAX_EPOCHS_APART}, got {shown(value)}"
+            raise SchemaError(what, where)
+        return Turns(*value)
+
+
+EVERY_EPOCH = Turns()
+
+
+class Began(NamedTuple):
+    """Since when an edge has its rates, where that is not the beginning of the run."""
+
+    epoch: int  # what its upper node says from here on counts by them
+    counts: int  # until the first of that does: the epoch of what counted before; 0: nothing did
+    is_new: bool  # whether there was no such edge before
+
+
+class Former(NamedTuple):
+    """The rates that an edge has until its roster takes effect."""
+
+    every: int  # of its upper node
+    offset: int  # likewise
+    delay: int
+    epoch: int  # as `Began` has it; 0: the beginning of the run
+    counts: int  # likewise
+
+    def in_force(self, epoch: int) -> int:
+        """The epoch whose context and tasks count in this one, which is not done by these rates any more."""
+        turn = Turns(self.every, self.offset).last(epoch - max(self.delay, 1))
+        return turn if turn >= self.epoch else self.counts
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Since when nodes and edges have the rates that they have, where that is not the beginning of the run.
+
+    Which epoch is the first one of a roster nobody knows until it takes effect."""
+
+    since: Mapping[str, int] = field(default_factory=dict)  # the first epoch, by node
+    began: Mapping[Pair, Began] = field(default_factory=dict)  # by edge
+    fresh: frozenset[str] = frozenset()  # the nodes that come, or have other turns, with the roster's first epoch
+    changed: Mapping[Pair, Former | None] = field(default_factory=dict)  # likewise edges; None: there was none before
+
+    def as_of(self, epoch: int) -> "Timing":
+        """The same once the roster's first epoch is known."""
+        began = {
+            pair: Began(epoch, 0, True) if former is None else Began(epoch, former.in_force(epoch), False)
+            for pair, former in self.changed.items()
+        }
+        return Timing({**self.since, **dict.fromkeys(self.fresh, epoch)}, {**self.began, **began})
+
+    def plain(self) -> Value:
+        return {
+            "since": dict(self.since),
+            "began": [(*pair, *began) for pair, began in sorted(self.began.items())],
+            "fresh": sorted(self.fresh),
+            "changed": [(*pair, None if each is None else tuple(each)) for pair, each in sorted(self.changed.items())],
+        }
+
+    @staticmethod
+    def read(value: Value, where: str) -> "Timing":
+        """Read it from a value. Raises `SchemaError` if it is none."""
+        if not isinstance(value, dict) or value.keys() != _TIMING.keys():
+            raise SchemaError(f"expected a map with the keys {', '.join(_TIMING)}", where)
+        for name, kind in _TIMING.items():
+            part = value[name] if isinstance(value[name], dict) else tuple(value[name] or ())
+            if not fits(part, kind):
+                raise SchemaError(f"got {shown(value[name])}", f"{where}.{name}")
+        began = {(lower, upper): Began(*rest) for lower, upper, *rest in value["began"]}
+        return Timing(value["since"], began, frozenset(value["fresh"]), dict(_read_changed(value["changed"], where)))
+
+
+_TIMING = {
+    "since": dict[str, int],
+    "began": tuple[tuple[str, str, int, int, bool], ...],
+    "fresh": tuple[str, ...],
+    "changed": tuple[tuple[str, str, Value], ...],
+}
+"""The fields of a timing as a value."""
+
+
+def _read_changed(value: Value, where: str) -> list[tuple[Pair, Former | None]]:
+    for _, _, former in value:
+        if former is not None and not (fits(former, tuple[int, int, int, int, int]) and former[0] > former[1] >= 0):
+            raise SchemaError(f"expected five whole numbers, or none, got {shown(former)}", f"{where}.changed")
+    return [((lower, upper), None if each is None else Former(*each)) for lower, upper, each in value]
+
+
+FROM_THE_BEGINNING = Timing()
+
+
+@dataclass(frozen=True)
+class Rates:
+    """The rates of a hierarchy."""
+
+    turns: Mapping[str, Turns] = field(default_factory=dict)  # of nodes that do not take part in every epoch
+    delays: Mapping[Pair, int] = field(default_factory=dict)  # of edges, where not 0
+    gathers: frozenset[Pair] = frozenset()  # edges on which the upper node has all observations since its last turn
+    timing: Timing = FROM_THE_BEGINNING  # since when
+
+    def turns_of(self, name: str) -> Turns:
+        return self.turns.get(name, EVERY_EPOCH)
+
+    def takes_part(self, name: str, epoch: int) -> bool:
+        return self.turns_of(name).include(epoch) and epoch >= self.timing.since.get(name, 1)
+
+    def next_turn(self, name: str, epoch: int) -> int:
+        """The first epoch after this one in which a node takes part."""
+        turns = self.turns_of(name)
+        epoch = max(epoch, self.timing.since.get(name, 1) - 1)
+        return turns.last(epoch + turns.every) or turns.offset or turns.every
+
+    def is_sensed(self, lower: str, upper: str, epoch: int) -> bool:
+        """Whether φ of an edge is applied in an epoch: in its upper node's turns; where it gathers, its lower one's."""
+        return self.takes_part(lower if (lower, upper) in self.gathers else upper, epoch)
+
+    def in_force(self, lower: str, upper: str, epoch: int) -> int:
+        """The epoch whose context and tasks from above count in this one; 0: there are none yet."""
+        pair = (lower, upper)
+        turn = self.turns_of(upper).last(epoch - self.delays.get(pair, 0))
+        began = self.timing.began.get(pair)
+        return turn if began is None or turn >= began.epoch else began.counts
+
+    def since(self, lower: str, upper: str) -> int:
+        """The first epoch in which there is an edge; 0: it is there from the beginning."""
+        began = self.timing.began.get((lower, upper))
+        return began.epoch if began is not None and began.is_new else 0
+
+    def former(self, lower: str, upper: str) -> Former:
+        """The rates of an edge that is about to have other ones."""
+        turns, began = self.turns_of(upper), self.timing.began.get((lower, upper))
+        delay = self.delays.get((lower, upper), 0)
+        return Former(turns.every, turns.offset, delay, *((0, 0) if began is None else began[:2]))
+
+    @property
+    def first_turns(self) -> int:
+        """The epoch by which every node has taken part once."""
+        return max((turns.offset or turns.every for turns in self.turns.values()), default=1)
+
+    @property
+    def awaits_epoch(self) -> bool:
+        """Whether something counts from the roster's first epoch on, and that is not known."""
+        return bool(self.timing.fresh or self.timing.changed)
+
+    def as_of(self, epoch: int) -> "Rates":
+        """The same once the roster's first epoch is known."""
+        return replace(self, timing=self.timing.as_of(epoch)) if self.awaits_epoch else self

@@ -1,0 +1,84 @@
+"""Hierarchies with rates whose rosters change: the formal model and the direct implementation come to the same."""
+
+from __future__ import annotations
+
+import random
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.direct import Direct, Period
+from support.sweep import examples
+
+from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.core.digest import NO_DIGEST, encode_state
+from hierax.runtime.core.hierarchy import Hierarchy
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.unrolled import Unrolled, unrolled_update
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import build_hierarchy
+from hierax.runtime.owner.roster_changes import ChangeError, next_roster
+from hierax.runtime.sim.nodes import MODULE
+from hierax.runtime.sim.rated import draw_rated_change, with_rates
+from hierax.runtime.sim.scenario import draw_scenario
+from hierax.schemas.rates import Rates
+from hierax.schemas.roster import Roster
+
+EPOCHS = 16
+CHANGES = 4
+
+
+def built(roster: Roster, seed: int) -> Hierarchy:
+    return build_hierarchy(roster, OperatorSetting(seed), Allowance((MODULE,)))
+
+
+def rates_in(roster: Roster) -> Rates:
+    assert roster.rates is not None
+    return roster.rates
+
+
+def periods(seed: int) -> list[tuple[int, Roster]]:
+    """A hierarchy at first, and what it is from some epochs on: nodes come, go and have others in their places."""
+    rng, roster = random.Random(f"{seed}/changes"), with_rates(draw_scenario(seed)).roster
+    found = [(1, roster)]
+    for epoch in sorted(rng.sample(range(2, EPOCHS), CHANGES)):
+        try:
+            roster = next_roster(roster, draw_rated_change(rng, sorted(roster.nodes), epoch)).as_of(epoch)
+        except ChangeError:
+            continue
+        found.append((epoch, roster))
+    return found
+
+
+def begun(name: str, before: Roster, after: Roster, now: Hierarchy, states: dict[str, ActiveNode]) -> ActiveNode:
+    """The state in which a node begins the first epoch under a roster."""
+    node = now.nodes[name]
+    if name not in before.nodes:
+        return ActiveNode(node.initial_belief(), node.initial_policy)
+    if before.instance(name) == after.instance(name):
+        return states[name]
+    return states[name]._replace(belief=node.take_over(states[name].belief))
+
+
+@settings(max_examples=examples(60, 1000), deadline=None)
+@given(st.integers(0, 2**32))
+def test_what_counts_when_rosters_change_is_what_the_direct_implementation_says(seed: int) -> None:
+    rosters = periods(seed)
+    hierarchies = [built(roster, seed) for _, roster in rosters]
+    later = []
+    for (_, before), (first, roster), hierarchy in zip(rosters, rosters[1:], hierarchies[1:], strict=False):
+        kept = before.nodes.keys() & roster.nodes.keys()
+        replaced = frozenset(name for name in kept if before.instance(name) != roster.instance(name))
+        later.append(Period(first, hierarchy, rates_in(roster), replaced))
+    direct = Direct(hierarchies[0], rates_in(rosters[0][1]), *later)
+    now = Unrolled.initial(hierarchies[0], rates_in(rosters[0][1]))
+    for epoch in range(1, EPOCHS + 1):
+        for index, (first, roster) in enumerate(rosters):
+            if first == epoch > 1:
+                before, hierarchy = rosters[index - 1][1], hierarchies[index]
+                states = dict(now.active.states)
+                states = {name: begun(name, before, roster, hierarchy, states) for name in roster.nodes}
+                now = now.under(hierarchy, rates_in(roster), states)
+        now = unrolled_update(now)
+        for name, state in now.active.states.items():
+            assert encode_state(*state) == encode_state(*direct.after(name, epoch)), (name, epoch)
+            assert now.digests.get(name, NO_DIGEST) == direct.digest(name, epoch), (name, epoch)
