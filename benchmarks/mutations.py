@@ -18,17 +18,16 @@ PROJECT = Path(__file__).resolve().parents[1]
 PAGE = PROJECT / "docs" / "simulation.md"
 sys.path.append(str(PROJECT / "tests"))
 
-from support.mutations import MUTATIONS  # noqa: E402
+from support.mutations import MUTATIONS, scenario_of  # noqa: E402
 
 from hierax.runtime.sim.campaign import simulate_quietly  # noqa: E402
-from hierax.runtime.sim.scenario import draw_scenario  # noqa: E402
 
 
 def first_seed(seeds: int, name: str) -> tuple[str, int | None, str]:
     """The first seed that notices a mistake, and what it says."""
     with MUTATIONS[name]():
         for seed in range(seeds):
-            violation = simulate_quietly(draw_scenario(seed)).violation
+            violation = simulate_quietly(scenario_of(name, seed)).violation
             if violation:
                 return name, seed, violation
     return name, None, ""

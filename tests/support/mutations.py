@@ -8,21 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
 from hierax.runtime.core.binding import Call
 from hierax.runtime.core.node import Tick
 from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
+from hierax.runtime.sim.campaign import Scenarios
 from hierax.runtime.sim.process import SimProcess
+from hierax.runtime.sim.scenario import Scenario
 from hierax.schemas.control import Fetch, Prepare
 from hierax.schemas.messages import Message
-from support import owner_mutations
+from support import owner_mutations, rated_change_mutations, rated_mutations
 
 
 @contextmanager
@@ -324,6 +328,22 @@ def attempt_kept_that_does_not_count() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _broken(mistake: tuple[Any, str, Any]) -> Iterator[None]:
+    with patch.object(*mistake):
+        yield
+
+
+RATED = {
+    name: partial(_broken, mistake)
+    for name, mistake in {
+        **rated_mutations.MISTAKES,
+        "who comes back senses anew": (RatedEngine, "_observe", rated_mutations.senses_anew),
+        **rated_change_mutations.MISTAKES,
+    }.items()
+}
+"""Those that hierarchies with rates have to show."""
+
 MUTATIONS = {
     **owner_mutations.MUTATIONS,
     "stale attempt accepted": stale_attempt_accepted,
@@ -344,4 +364,10 @@ MUTATIONS = {
     "attempt kept that does not count": attempt_kept_that_does_not_count,
     "one end of a mended link says again": one_end_says_again,
     "one message of a mended link said again": last_message_said_again,
+    **RATED,
 }
+
+
+def scenario_of(name: str, seed: int) -> Scenario:
+    """What a seed stands for where a mistake is looked for."""
+    return Scenarios(rated=name in RATED).draw(seed)

@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from support.mutations import MUTATIONS
+from support.mutations import MUTATIONS, scenario_of
 
 from hierax.runtime.sim.campaign import simulate_quietly
-from hierax.runtime.sim.scenario import draw_scenario
 
 PAGE = Path(__file__).parents[3] / "docs" / "simulation.md"
 SEEDS = {
@@ -23,7 +22,7 @@ def test_the_docs_name_all() -> None:
 
 @pytest.mark.parametrize("name", SEEDS)
 def test_a_mutation_is_caught(name: str) -> None:
-    scenario = draw_scenario(SEEDS[name])
+    scenario = scenario_of(name, SEEDS[name])
     with MUTATIONS[name]():
         violation = simulate_quietly(scenario).violation
     assert violation, f"seed {SEEDS[name]} does not notice it any more: `make mutations`"

@@ -1,0 +1,81 @@
+"""Planted mistakes in how rosters of hierarchies with rates change; simulated faults and changes have to find each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.rated import GREETING, RatedEngine
+from hierax.runtime.engine.said import SaidMessages
+from hierax.runtime.engine.wiring import Wiring
+from hierax.runtime.owner.context import EpochProgress
+from hierax.runtime.owner.planning import Planning
+from hierax.schemas.checkpoint import decode_under_way, encode_under_way
+from hierax.schemas.messages import OBSERVATIONS, Message, encode_message
+from hierax.schemas.rates import Rates
+
+TAKE_OVER, TAKE_IN, PREPARE = RatedEngine.take_over, RatedEngine._take_in, Engine.prepare
+RECONSIDER, COMMITTED = Planning.reconsider, EpochProgress.committed
+
+
+def _counts_when_prepared(engine: RatedEngine, wiring: Wiring) -> None:
+    if wiring.place.rates is not None:
+        engine._rates = wiring.place.rates.as_of(engine.epoch + 1)
+    PREPARE(engine, wiring)
+
+
+def _says_all_to_the_name(messages: SaidMessages, since: dict[str, int]) -> None:
+    return
+
+
+def _hands_no_messages_over(engine: RatedEngine, saved: Saved) -> None:
+    TAKE_OVER(engine, saved._replace(under_way=b""))
+
+
+def _hands_nothing_gathered_over(engine: RatedEngine, saved: Saved) -> None:
+    sensed, said, forgotten, _ = decode_under_way(saved.under_way)
+    kept = encode_under_way(sensed, [encode_message(message) for message in said], forgotten)
+    TAKE_OVER(engine, saved._replace(under_way=kept))
+
+
+def _never_drained(progress: EpochProgress, epoch: int) -> None:
+    COMMITTED(progress, epoch)
+    progress.drained = True
+
+
+def _begins_with_the_first_heard(engine: RatedEngine, message: Message) -> None:
+    header = message.header
+    if engine._joins and header.kind == OBSERVATIONS and header.epoch != GREETING:
+        engine._join(header.epoch)
+    TAKE_IN(engine, message)
+
+
+def _changes_beside_what_is_lost(planning: Planning) -> None:
+    policy = planning._policy
+    planning._policy = replace(policy, rated=False)
+    try:
+        RECONSIDER(planning)
+    finally:
+        planning._policy = policy
+
+
+def _begins_anew_with_each_version(engine: RatedEngine, wiring: Wiring) -> None:
+    Engine._wire(engine, wiring)
+    engine._rates = wiring.place.rates or Rates()
+    engine._epochs_ahead = 1000
+
+
+MISTAKES: dict[str, tuple[Any, str, Any]] = {
+    "rates count when a version is prepared": (RatedEngine, "prepare", _counts_when_prepared),
+    "what was said to a node that went is said to one of its name": (SaidMessages, "only", _says_all_to_the_name),
+    "what was said is not handed over": (RatedEngine, "take_over", _hands_no_messages_over),
+    "what was gathered is not handed over": (RatedEngine, "take_over", _hands_nothing_gathered_over),
+    "a roster takes effect without a drained epoch": (EpochProgress, "committed", _never_drained),
+    "who comes is not told with which epoch it begins": (Rates, "since", lambda *_: 0),
+    "who comes begins with what it hears first": (RatedEngine, "_take_in", _begins_with_the_first_heard),
+    "a change is made beside who is lost": (Planning, "reconsider", _changes_beside_what_is_lost),
+    "rates begin anew with a version that leaves them": (RatedEngine, "_wire", _begins_anew_with_each_version),
+}
+"""What each breaks."""
