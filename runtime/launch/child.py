@@ -167,6 +167,7 @@ class Child:
     final: bool = False  # whether the run cannot, either
     dismissed: str = ""  # why the owner has told it to go
     culprit: str = ""  # why its supervisor has killed it
+    placeless: bool = False  # whether it has ended before anybody here knew of its place in the roster, if it has one
     code: int | None = None  # of a node that has ended in a process in which others go on, its exit code
     mates: "list[Child]" = field(default_factory=list)  # all nodes of the process, if it is shared
     host: str = ""  # the host on which it runs; empty: this one, which has no name

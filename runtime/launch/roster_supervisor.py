@@ -160,10 +160,11 @@ class RosterSupervisor(ProcessSupervisor):
                 continue
             if child.alive:
                 self.current[name] = child
-            elif child.ended.is_set() and child.report is None and not (self._comes_back(name) or self._runs(name)):
-                # the world's process has died before it could say that this one was taken in
-                self.current[name] = child
-                self.tasks.start_soon(self._on_end, child)
+            elif child.placeless and not (self._comes_back(name) or self._runs(name)):
+                # it was taken in: that was on its way, or the world's process has died before it could say so
+                self.current[name], child.placeless = child, False
+                child.state = ProcessState.RESTARTING
+                self.tasks.start_soon(self._replace, [child])
 
     def _on_answer(self, request: str, epoch: int, refusal: str) -> None:
         """The owner says what has become of a change; where it is in force, its new nodes are kept as it says."""
@@ -202,21 +203,19 @@ class RosterSupervisor(ProcessSupervisor):
             self.notify(f"{name}: {what}: {child.dismissed}")
             await self.send_to_owner(Lost(name, child.token, False))
             return
-        if self.current.get(name) is not child:
-            await self.send_to_owner(Lost(name, child.token, True))
-            await anyio.sleep(2 * BEAT_S)  # it may have been taken in just now
-            if self.current.get(name) is not child:
-                await self._on_end_beside(child)
-                return
-        await self._replace([child])
+        child.placeless = True
+        await self.send_to_owner(Lost(name, child.token, True))
+        await anyio.sleep(2 * BEAT_S)  # it may have been taken in just now
+        if child.placeless:
+            await self._on_end_beside(child)
 
     async def _on_end_together(self, children: Sequence[Child]) -> None:
         """Nodes that were lost with one process come back in one; but those that have no place, or none yet."""
         together = [child for child in children if self._is_to_come_back(child)]
         for child in children:
-            if child not in together or len(together) == 1:
+            if child not in together:
                 self.tasks.start_soon(self._on_end, child)
-        if len(together) > 1:
+        if together:  # at once: nobody may see them ended before it is said that others come
             await self._replace(together)
 
     def _is_to_come_back(self, child: Child) -> bool:
@@ -232,6 +231,7 @@ class RosterSupervisor(ProcessSupervisor):
         if delay_s is None:
             await self.send_to_owner(Lost(child.name, child.token, False))
             return
+        child.placeless = False
         self.notify(f"{child.last_words}; it is started again")
         await anyio.sleep(delay_s)
         if not self.ending:

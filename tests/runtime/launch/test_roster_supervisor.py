@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, cast
 
 import anyio
+import pytest
 
 from hierax.runtime.deployment.deployment import ProcessTerms
-from hierax.runtime.launch.child import Child, ProcessState
-from hierax.runtime.launch.frames import BEAT, FAILED, REPORT, UP, NodeOrder
+from hierax.runtime.launch import roster_supervisor
+from hierax.runtime.launch.child import Child, ProcessState, Restarts
+from hierax.runtime.launch.frames import BEAT, COME_BACK, FAILED, REPORT, UP, NodeOrder
 from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
@@ -53,7 +55,7 @@ class Process:
 class Order:
     """Of a node's process."""
 
-    name, process, request = "top", "t", ""
+    name, process, request, life, shares = "top", "t", "", COME_BACK, ""
 
 
 def supervised(main: Callable[[RosterSupervisor], Awaitable[None]]) -> None:
@@ -161,3 +163,91 @@ def test_of_a_process_whose_end_is_just_noticed_nobody_says_that_none_comes_for_
         assert told[1:] == [Lost("top", "", False)]
 
     supervised(main)
+
+
+class Counted:
+    """What a supervisor does about processes of a node that have ended, of which none but their ends is real.
+
+    Attributes:
+        said: to people.
+        told: to the owner.
+        started: the processes that come in their place.
+    """
+
+    def __init__(self, supervisor: RosterSupervisor) -> None:
+        self.said: list[str] = []
+        self.told: list[Control] = []
+        self.started: list[Child] = []
+        self._supervisor = supervisor
+        supervisor.notify = self.said.append
+        supervisor.send_to_owner = self._tell  # type: ignore[method-assign]
+        supervisor._hosts = cast(Hosts, self)
+        supervisor._listen = self._listen  # type: ignore[method-assign]
+        supervisor.orders.again = self._again  # type: ignore[method-assign]
+        supervisor.begun.set()
+
+    def killed(self) -> Child:
+        """A process of the node that somebody has killed."""
+        child = Child(cast(NodeOrder, Order()), cast(Any, Process()), cast(Any, None), came_up=True, code=-9)
+        self._supervisor._children["t"] = child
+        self._supervisor._restarts["top"] = Restarts(ProcessTerms(restart_delay_s=0.0))
+        return child
+
+    async def ends(self, child: Child) -> None:
+        """It ends, while at every turn of the event loop the world says that it is there, and asks who is dead."""
+        supervisor = self._supervisor
+        supervisor.tasks.start_soon(supervisor._on_ends, [child])
+        while not self.started:
+            await anyio.sleep(0)
+            beat(supervisor, {"world": "w", "top": "t"}, ("world", "top"))
+            if supervisor.current.get("top") is child:
+                await supervisor._send_deaths({})
+
+    async def start(self, orders: Sequence[NodeOrder], overhearing: object) -> list[Child]:
+        """As `Hosts` does."""
+        self.started += [Child(order, cast(Any, Process()), cast(Any, None)) for order in orders]
+        return self.started[-len(orders) :]
+
+    async def ready(self, name: str) -> None:
+        """As `Hosts` does."""
+
+    async def _tell(self, word: Control) -> None:
+        self.told.append(word)
+        await anyio.sleep(0)
+
+    async def _listen(self, children: Sequence[Child]) -> None:
+        """Nothing is said."""
+
+    def _again(self, order: NodeOrder, token: str, *rest: object) -> NodeOrder:
+        again = Order()
+        again.process = token
+        return cast(NodeOrder, again)
+
+
+def test_one_process_comes_in_the_place_of_one_whenever_the_world_says_who_there_is() -> None:
+    """It knows no better for a while; what is done about the end is begun in the moment that it is known."""
+    counted: list[Counted] = []
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        counted.append(Counted(supervisor))
+        child = supervisor.current["top"] = counted[0].killed()
+        await counted[0].ends(child)
+
+    supervised(main)
+    assert counted[0].said == ["top: its process ended by signal SIGKILL; it is started again"]
+    assert counted[0].told == [Lost("top", "t", True)]
+    assert len(counted[0].started) == 1
+
+
+def test_one_process_comes_in_the_place_of_one_that_ends_as_it_is_taken_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(roster_supervisor, "BEAT_S", 0.02)
+    counted: list[Counted] = []
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        counted.append(Counted(supervisor))
+        await counted[0].ends(counted[0].killed())
+
+    supervised(main)
+    assert counted[0].said == ["top: its process ended by signal SIGKILL; it is started again"]
+    assert set(counted[0].told) == {Lost("top", "t", True)}
+    assert len(counted[0].started) == 1
