@@ -15,7 +15,6 @@ from unittest.mock import patch
 from hierax.runtime.core.binding import Call
 from hierax.runtime.core.node import Tick
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.execution.world_member import WorldMember
@@ -338,7 +337,6 @@ RATED = {
     name: partial(_broken, mistake)
     for name, mistake in {
         **rated_mutations.MISTAKES,
-        "who comes back senses anew": (RatedEngine, "_observe", rated_mutations.senses_anew),
         **rated_change_mutations.MISTAKES,
     }.items()
 }

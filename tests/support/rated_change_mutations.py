@@ -7,16 +7,15 @@ from typing import Any
 
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.rated import GREETING, RatedEngine
-from hierax.runtime.engine.said import SaidMessages
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.owner.context import EpochProgress
 from hierax.runtime.owner.planning import Planning
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
-from hierax.schemas.messages import OBSERVATIONS, Message, encode_message
+from hierax.schemas.messages import encode_message
 from hierax.schemas.rates import Rates
 
-TAKE_OVER, TAKE_IN, PREPARE = RatedEngine.take_over, RatedEngine._take_in, Engine.prepare
+TAKE_OVER, PREPARE = RatedEngine.take_over, Engine.prepare
 RECONSIDER, COMMITTED = Planning.reconsider, EpochProgress.committed
 
 
@@ -26,12 +25,9 @@ def _counts_when_prepared(engine: RatedEngine, wiring: Wiring) -> None:
     PREPARE(engine, wiring)
 
 
-def _says_all_to_the_name(messages: SaidMessages, since: dict[str, int]) -> None:
-    return
-
-
 def _hands_no_messages_over(engine: RatedEngine, saved: Saved) -> None:
-    TAKE_OVER(engine, saved._replace(under_way=b""))
+    gathered = decode_under_way(saved.under_way).gathered
+    TAKE_OVER(engine, saved._replace(under_way=encode_under_way(None, (), (), gathered)))
 
 
 def _hands_nothing_gathered_over(engine: RatedEngine, saved: Saved) -> None:
@@ -43,13 +39,6 @@ def _hands_nothing_gathered_over(engine: RatedEngine, saved: Saved) -> None:
 def _never_drained(progress: EpochProgress, epoch: int) -> None:
     COMMITTED(progress, epoch)
     progress.drained = True
-
-
-def _begins_with_the_first_heard(engine: RatedEngine, message: Message) -> None:
-    header = message.header
-    if engine._joins and header.kind == OBSERVATIONS and header.epoch != GREETING:
-        engine._join(header.epoch)
-    TAKE_IN(engine, message)
 
 
 def _changes_beside_what_is_lost(planning: Planning) -> None:
@@ -69,12 +58,10 @@ def _begins_anew_with_each_version(engine: RatedEngine, wiring: Wiring) -> None:
 
 MISTAKES: dict[str, tuple[Any, str, Any]] = {
     "rates count when a version is prepared": (RatedEngine, "prepare", _counts_when_prepared),
-    "what was said to a node that went is said to one of its name": (SaidMessages, "only", _says_all_to_the_name),
     "what was said is not handed over": (RatedEngine, "take_over", _hands_no_messages_over),
     "what was gathered is not handed over": (RatedEngine, "take_over", _hands_nothing_gathered_over),
     "a roster takes effect without a drained epoch": (EpochProgress, "committed", _never_drained),
     "who comes is not told with which epoch it begins": (Rates, "since", lambda *_: 0),
-    "who comes begins with what it hears first": (RatedEngine, "_take_in", _begins_with_the_first_heard),
     "a change is made beside who is lost": (Planning, "reconsider", _changes_beside_what_is_lost),
     "rates begin anew with a version that leaves them": (RatedEngine, "_wire", _begins_anew_with_each_version),
 }

@@ -42,11 +42,12 @@ def test_nothing_is_wrong_with_rates_and_delays() -> None:
 @pytest.mark.parametrize(
     "seed",
     [
-        1,  # an older checkpoint stands in for one that was damaged, and what it lacks is gone
-        412,  # likewise, of a neighbour that was killed, too
-        490,  # what was for the world's last process comes before the roster does with the new one
-        5879,  # what is said again is lost
-        10873,  # a checkpoint is damaged after the last epoch
+        3,  # what nobody will say any more by the rates of before does not count
+        43,  # an older checkpoint stands in for one that was damaged, and what it lacks is gone
+        146,  # who is lost, and is to be detached, is waited for
+        345,  # what is handed over is of no attempt
+        1312,  # a version that leaves a node's rates, after one that changed them
+        1604,  # who comes is prepared for two versions
     ],
 )
 def test_what_simulations_with_rates_have_found_holds(seed: int) -> None:
@@ -54,8 +55,8 @@ def test_what_simulations_with_rates_have_found_holds(seed: int) -> None:
 
 
 def test_damage_that_cannot_be_mended_with_rates_is_said() -> None:
-    result = simulate_quietly(Scenarios(rated=True).draw(1))
-    assert re.fullmatch(r".*goes on after epoch 0, and was further when it said so last.*", result.stopped)
+    result = simulate_quietly(Scenarios(rated=True).draw(43))
+    assert re.fullmatch(r".*goes on after epoch 10, and was further when it said so last.*", result.stopped)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
