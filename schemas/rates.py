@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 from hierax.schemas.errors import SchemaError, shown
@@ -24,6 +25,10 @@ class Turns:
     def last(self, epoch: int) -> int:
         """The last one up to an epoch; 0: there was none."""
         return max(epoch - (epoch - self.offset) % self.every, 0)
+
+    def next(self, epoch: int) -> int:
+        """The first one after an epoch."""
+        return epoch + self.every - (epoch - self.offset) % self.every
 
     def plain(self) -> Value:
         return (self.every, self.offset)
@@ -130,6 +135,7 @@ class Rates:
     delays: Mapping[Pair, int] = field(default_factory=dict)  # of edges, where not 0
     gathers: frozenset[Pair] = frozenset()  # edges on which the upper node has all observations since its last turn
     timing: Timing = FROM_THE_BEGINNING  # since when
+    pairs: tuple[Pair, ...] = field(default=(), compare=False)  # all edges; none: they are not known
 
     def turns_of(self, name: str) -> Turns:
         return self.turns.get(name, EVERY_EPOCH)
@@ -139,9 +145,33 @@ class Rates:
 
     def next_turn(self, name: str, epoch: int) -> int:
         """The first epoch after this one in which a node takes part."""
-        turns = self.turns_of(name)
-        epoch = max(epoch, self.timing.since.get(name, 1) - 1)
-        return turns.last(epoch + turns.every) or turns.offset or turns.every
+        return self.turns_of(name).next(max(epoch, self.timing.since.get(name, 1) - 1))
+
+    def passes(self, name: str) -> tuple[Turns, ...]:
+        """In which epochs a node is sent observations, as it takes part in them, or one above it does, or one that it
+        gathers from. Where edges are not known, in all."""
+        return self._passed.get(name, (EVERY_EPOCH,))
+
+    @cached_property
+    def _passed(self) -> Mapping[str, tuple[Turns, ...]]:
+        wanted = {name: {self.turns_of(name)} for pair in self.pairs for name in pair}
+        lowers: dict[str, list[str]] = {name: [] for name in wanted}
+        awaited = dict.fromkeys(wanted, 0)  # how many of those above are still to come
+        for lower, upper in self.pairs:
+            lowers[upper].append(lower)
+            awaited[lower] += 1
+            if (lower, upper) in self.gathers:
+                wanted[upper].add(self.turns_of(lower))
+        done = [name for name, count in awaited.items() if not count]
+        for upper in done:
+            if EVERY_EPOCH in wanted[upper]:
+                wanted[upper] = {EVERY_EPOCH}
+            for lower in lowers[upper]:
+                wanted[lower] |= wanted[upper]
+                awaited[lower] -= 1
+                if not awaited[lower]:
+                    done.append(lower)
+        return {name: tuple(sorted(turns, key=lambda each: (each.every, each.offset))) for name, turns in wanted.items()}
 
     def is_sensed(self, lower: str, upper: str, epoch: int) -> bool:
         """Whether φ of an edge is applied in an epoch: in its upper node's turns; where it gathers, its lower one's."""

@@ -105,7 +105,7 @@ class Roster:
         if self.timing is None:
             return None
         delays = {edge.pair: edge.delay for edge in self.edges if edge.delay}
-        return Rates(self.turns, delays, frozenset(edge.pair for edge in self.edges if edge.gather), self.timing)
+        return Rates(self.turns, delays, frozenset(edge.pair for edge in self.edges if edge.gather), self.timing, self.pairs)
 
     def with_rates(self, rates: Rates) -> "Roster":
         """The same nodes and edges with these rates."""

@@ -1,9 +1,9 @@
 """The engine of a hierarchy with rates: nodes take part in some epochs, and inputs from above count some epochs later.
 
-Observations are sent on every edge in every epoch, so that each node passes all epochs, one after the other; in those
-that are not its turn it calls no operator of its own, and only hands on. What comes down is sent in turns alone, and
-kept for as long as it may count. Which epoch's input counts follows from the rates, not from what has come: a node
-waits for it.
+A node passes the epochs in which it takes part, or somebody above it does, one after the other; in those that are not
+its turn it calls no operator of its own, and only hands on. Of other epochs it is told nothing, unless one is drained:
+nothing of a later one comes before all are done with that. What comes down is sent in turns alone, and kept for as long
+as it may count. Which epoch's input counts follows from the rates, not from what has come: a node waits for it.
 
 Nothing that was said is ever taken back, so an epoch has one attempt. What a node says stands in its checkpoint
 before it is heard, or follows from that: what it has sensed, the state after its last turn, and what it has said to
@@ -20,8 +20,10 @@ from collections.abc import Mapping, Sequence
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
+from hierax.runtime.engine.coming import ComingEpochs, includes
 from hierax.runtime.engine.effects import EngineEffects, Saved
 from hierax.runtime.engine.engine import DRAIN, Engine
+from hierax.runtime.engine.kept import KeptMessages
 from hierax.runtime.engine.said import SaidMessages
 from hierax.runtime.engine.table import ACTIONS, EPOCHS_AHEAD, ROSTERS_AHEAD, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
@@ -50,7 +52,10 @@ class RatedEngine(Engine):
         saved: Saved | None = None,
         joins: bool = False,
     ) -> None:
-        self._kept: dict[Slot, dict[int, Message]] = {}
+        self._kept = KeptMessages()
+        self._takes_part = False  # in the epoch under way
+        self._counting: dict[Slot, int] = {}  # the epochs whose inputs from above count in it
+        self._told: frozenset[str] = frozenset()  # who above has to pass it
         self._told_rates: Rates | None = None  # what the roster says of rates
         self._greets = joins or saved is not None  # whether neighbours may have more than this process knows of
         self._unsent: list[Message] | None = None
@@ -61,10 +66,12 @@ class RatedEngine(Engine):
 
     def _wire(self, wiring: Wiring) -> None:
         super()._wire(wiring)
+        self._instances = {**wiring.below, **wiring.above}
         if wiring.place.rates is self._told_rates:  # a version that changes nothing here: they are known since when
             return
         self._told_rates = wiring.place.rates
         self._rates = self._told_rates or Rates()
+        self._passed_above = {upper: self._rates.passes(upper) for upper in self.node.above}
         name, delays = self.name, self._rates.delays
         apart = self._rates.turns_of(name).every + max(
             (delays.get((lower, name), 0) for lower in self.node.below), default=0
@@ -76,6 +83,7 @@ class RatedEngine(Engine):
             before = self._rates.timing.since.get(self.name, 1) - 1
             saved = saved._replace(epoch=before)
         super().restore(saved._replace(attempt=0))
+        self._coming = ComingEpochs(self._rates.passes(self.name), self.epoch)
         self._turned = saved.epoch  # the last epoch whose state was saved; those after it that are past change nothing
         self._remembered: tuple[int, Value] | None = None
         self._gathered: dict[str, list[Value]] = {}
@@ -135,14 +143,11 @@ class RatedEngine(Engine):
         """Take up the rates of a roster with the next epoch, where that is its first one; what was said along edges
         that are gone, or to a node that had the name of a new one, is not said any more."""
         self._rates = rates = self._rates.as_of(self.epoch + 1)
+        self._coming.begin(rates.passes(self.name), self.epoch)
         since = {lower: rates.since(lower, self.name) for lower in self.node.below}
         since |= {upper: rates.since(self.name, upper) for upper in self.node.above}
         self._unheard.only(since)
-        for slot in [slot for slot in self._kept if slot not in self.wiring.below and slot not in self.wiring.above]:
-            del self._kept[slot]
-        for (sender, _), kept in self._kept.items():
-            for epoch in [epoch for epoch in kept if epoch < since[sender]]:
-                del kept[epoch]
+        self._kept.only({slot: since[slot[0]] for slot in self._instances})
         gathering = {lower for lower in since if (lower, self.name) in rates.gathers and self.epoch >= since[lower]}
         self._gathered = {lower: each for lower, each in self._gathered.items() if lower in gathering}
 
@@ -154,6 +159,13 @@ class RatedEngine(Engine):
         self._begin_rates()
         self._greets = True
         self._greet_first()
+
+    def goes_on_after(self, last: int) -> bool:
+        """Whether something is yet to be done up to the run's last epoch; where nothing is, it is done with that."""
+        if self.phase is not Phase.DONE or self._coming.next <= last:
+            return True
+        self.epoch = max(self.epoch, last)
+        return False
 
     # --- what is said again
 
@@ -191,6 +203,21 @@ class RatedEngine(Engine):
     def receive(self, message: Message) -> None:
         if self.is_world and not self.begun:
             return  # what comes of the roster on record was for the world's last process; all is said again
+        header = message.header
+        kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
+        if (  # what epochs are made of
+            roster == self._roster
+            and self._instances.get((sender, kind)) == instance
+            and receiver == self.name
+            and attempt == 0
+            and epoch - self.epoch <= self._epochs_ahead
+            and (digest or kind != CONTEXT)
+        ):
+            self._take_in(message)
+        else:
+            self._receive_by_table(message)
+
+    def _receive_by_table(self, message: Message) -> None:
         header = message.header
         verdict = self.judge(header)
         if verdict is Verdict.NEW_ROSTER:
@@ -240,7 +267,7 @@ class RatedEngine(Engine):
             raise ContradictionError(f"{self.name}: {what}: its checkpoint was damaged, or somebody speaks in its name")
 
     def compare(self, message: Message) -> None:
-        known = self._kept.get((message.header.sender, message.header.kind), {}).get(message.header.epoch)
+        known = self._kept.of((message.header.sender, message.header.kind), message.header.epoch)
         if known is not None:
             self._check_same(known, message)
 
@@ -262,7 +289,7 @@ class RatedEngine(Engine):
         peer = header.sender
         if header.kind == OBSERVATIONS:
             oldest = self._rates.in_force(peer, self.name, header.epoch)
-            for kind in (TASKS, CONTEXT):
+            for kind in (TASKS, CONTEXT) if self.wiring.task else (CONTEXT,):
                 self._unheard.forget(peer, kind, oldest, header.instance)
         elif header.kind == CONTEXT and self._rates.takes_part(peer, header.epoch):
             self._unheard.forget(peer, OBSERVATIONS, header.epoch + 1, header.instance)
@@ -270,58 +297,76 @@ class RatedEngine(Engine):
     def _keep(self, message: Message) -> None:
         header = message.header
         slot = (header.sender, header.kind)
-        kept = self._kept.setdefault(slot, {})
-        known = kept.get(header.epoch)
+        known = self._kept.of(slot, header.epoch)
         if known is not None:
             self._check_same(known, message)
-        elif header.epoch >= self._oldest(slot):
-            kept[header.epoch] = message
+        elif self._is_wanted(header, slot):
+            self._kept.keep(slot, message)
 
-    def _oldest(self, slot: Slot) -> int:
-        """The first epoch whose message of a slot may be wanted yet."""
+    def _is_wanted(self, header: Header, slot: Slot) -> bool:
+        """Whether it may count yet."""
+        epoch = header.epoch
         if slot in self.wiring.below:
-            return self.epoch + 1
-        return self._rates.in_force(self.name, slot[0], self.epoch)
+            return self._coming.include(epoch, DRAIN in header.extensions)
+        return epoch >= self._rates.in_force(self.name, slot[0], self.epoch)
 
     # --- what can be done with it
 
     def _go_on(self) -> None:
         """Do all that can be done with what is in hand; a world begins no epoch by itself."""
-        while not self._lacking() and not (self.is_world and self.phase is Phase.DONE):
+        while True:
             if self.phase is Phase.DONE:
-                self._turn(self.epoch + 1, 0)
-                self.inbox = {slot: self._kept[slot].pop(self.epoch) for slot in self.wiring.below}
+                epoch = self._complete()
+                if not epoch:
+                    return
+                self._turn(epoch, 0)
+                self.inbox = {slot: self._kept.take(slot, epoch) for slot in self.wiring.below}
                 self._sense()
+            elif self._lacking_above():
+                return
             else:
                 self._predict()
 
+    def _turn(self, epoch: int, attempt: int) -> None:
+        super()._turn(epoch, attempt)
+        self._coming.look_on(epoch)
+        self._takes_part = self._rates.takes_part(self.name, epoch)
+        above = self.wiring.above if self._takes_part else ()
+        self._counting = {slot: self._rates.in_force(self.name, slot[0], epoch) for slot in above}
+        self._told = frozenset(upper for upper, passed in self._passed_above.items() if includes(passed, epoch))
+
+    def _complete(self) -> int:
+        """The first of the epochs that come next of which all observations are there; 0: of none, as for the world.
+
+        Where it is not the first one of all, that was a drained one, and is over: else nobody had begun another."""
+        for epoch in () if self.is_world else self._coming.epochs:
+            if all(self._kept.has(slot, epoch) for slot in self.wiring.below):
+                return epoch
+        return 0
+
     def _lacking(self) -> list[Slot]:
         """Of whom there is no input with which the node could go on."""
-        if self.phase is Phase.DONE:
-            return [slot for slot in self.wiring.below if not self._has(slot, self.epoch + 1)]
-        return self._not_in_force() + (self._under_way_above() if self.drains else [])
+        if self.phase is not Phase.DONE:
+            return self._lacking_above()
+        return [slot for slot in self.wiring.below if not self._kept.has(slot, self._coming.epochs[0])]
+
+    def _lacking_above(self) -> list[Slot]:
+        lacking = self._not_in_force()
+        return lacking + self._under_way_above() if self.drains and not self._complete() else lacking
 
     def _not_in_force(self) -> list[Slot]:
-        return [slot for slot in self.wiring.above if self._in_force(slot) is None] if self._takes_part else []
+        return [slot for slot, epoch in self._counting.items() if epoch and not self._kept.has(slot, epoch)]
 
     def _under_way_above(self) -> list[Slot]:
-        """Of a drained epoch, who is not done with it."""
-        return [slot for slot in self.wiring.above if slot[1] == CONTEXT and not self._has(slot, self.epoch)]
+        """Of a drained epoch, who is not done with it; who has a part in a later one was, if by another process."""
+        return [slot for slot in self.wiring.above if slot[1] == CONTEXT and not self._kept.has(slot, self.epoch)]
 
-    def _has(self, slot: Slot, epoch: int) -> bool:
-        return epoch in self._kept.get(slot, ())
-
-    @property
-    def _takes_part(self) -> bool:
-        return self._rates.takes_part(self.name, self.epoch)
-
-    def _in_force(self, slot: Slot) -> Message | None:
-        """What counts of a slot in this epoch; None: it has not come."""
-        sender, kind = slot
-        epoch = self._rates.in_force(self.name, sender, self.epoch)
-        if epoch:
-            return self._kept.get(slot, {}).get(epoch)
-        instance = self.wiring.above[slot]
+    def _in_force(self, slot: Slot) -> Message:
+        """What counts of a slot in this epoch: it has come, or there is none yet."""
+        found = self._kept.of(slot, self._counting[slot])
+        if found is not None:
+            return found
+        (sender, kind), instance = slot, self.wiring.above[slot]
         return Message(Header(kind, sender, self.name, 0, 0, self._roster, instance, 0.0, NO_DIGEST), ())
 
     def _sense(self) -> None:
@@ -350,6 +395,8 @@ class RatedEngine(Engine):
         if self._remembered is not None and self._remembered[0] == self.epoch:
             return self._remembered[1]
         sensed = super()._observe(observations)
+        if not (self.wiring.task or self.drains or self._told):
+            return sensed  # nobody hears what follows from it before there is a checkpoint of the turn
         self._remembered = (self.epoch, sensed)
         self._effects.save(self._turned, 0, self.encoded_start, self.encoded)
         return sensed
@@ -358,13 +405,15 @@ class RatedEngine(Engine):
         """Then it waits for what is above, if it is its turn; `_go_on` looks whether that is here."""
         self._enter(Phase.PREDICT if self._takes_part or self.drains else Phase.DONE)
         for upper, sense in self.wiring.sense:
+            if upper not in self._told and not self.drains:
+                continue
             elements: Elements = ()
             if sense is not None and self._rates.is_sensed(self.name, upper, self.epoch):
                 elements = sense.elements(self.epoch, self.time_s, self._sensed)
                 if self._vigilance or self.events:
                     self._called(sense, elements)
             self._send(OBSERVATIONS, upper, elements, b"")
-        if self._takes_part:
+        if self._takes_part and self._rates.delays:
             self._note_overruns()
 
     def _note_overruns(self) -> None:
@@ -379,12 +428,9 @@ class RatedEngine(Engine):
             for lower in self.node.below:
                 self._send(CONTEXT, lower, (), NO_DIGEST)
             return
-        chosen = {slot: self._in_force(slot) for slot in self.wiring.above}
-        self.inbox = {slot: message for slot, message in chosen.items() if message is not None}
-        for slot in self.wiring.above:
-            kept, oldest = self._kept.get(slot, {}), self._oldest(slot)
-            for epoch in [epoch for epoch in kept if epoch < oldest]:
-                del kept[epoch]
+        self.inbox = {slot: self._in_force(slot) for slot in self._counting}
+        for slot, oldest in self._counting.items():
+            self._kept.forget(slot, oldest)
         super()._predict()
 
     # --- what is said

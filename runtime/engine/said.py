@@ -25,8 +25,9 @@ class SaidMessages:
     def forget(self, receiver: str, kind: str, before: int, instance: int) -> None:
         """A neighbour, of this instance, will not ask any more for those of the epochs before this one."""
         slot = (receiver, kind)
-        kept = self._messages.get(slot, {})
-        self._forgotten[slot] = max((before, instance), self._forgotten.get(slot, (0, 0)))
+        kept, known = self._messages.get(slot, {}), self._forgotten.get(slot)
+        if known is None or known < (before, instance):
+            self._forgotten[slot] = (before, instance)
         for epoch in [epoch for epoch in kept if epoch < before]:
             del kept[epoch]
             self._bytes.pop((slot, epoch), None)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from hierax.runtime.engine.rated import RatedEngine
-from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.execution.world_member import WorldMember
@@ -209,7 +208,7 @@ class NodeLoop:
         engine = self.member.engine
         if self.last is None or not isinstance(engine, RatedEngine):
             return True
-        return engine.epoch >= self.last and engine.phase is Phase.DONE
+        return not engine.goes_on_after(self.last)
 
     def _run_freely(self) -> None:
         """Do the same as in step, but the node takes its turns when they are due, on the newest of what has come."""

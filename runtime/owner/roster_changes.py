@@ -10,7 +10,7 @@ from typing import Any
 from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.core.graph import check_graph, unreached
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.schemas.rates import EVERY_EPOCH, Former, Pair, Timing, Turns
+from hierax.schemas.rates import EVERY_EPOCH, Former, Pair, Rates, Timing, Turns
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
@@ -53,7 +53,8 @@ def touched(old: Roster, new: Roster) -> frozenset[str]:
     """The nodes that must be ready for a roster before it takes effect.
 
     A node of `new` is touched if it is new itself, or if of what its engine is made of anything is another: its class
-    and parameters, its instance, its neighbours, their instances, or one of its edges."""
+    and parameters, its instance, its neighbours, their instances, one of its edges, or, with rates, in which epochs it
+    or one above it is sent observations."""
     before, after = _joints(old), _joints(new)
     return frozenset(name for name, joint in after.items() if before.get(name) != joint)
 
@@ -201,12 +202,14 @@ def _check_hierarchy(world: str, nodes: Iterable[str], edges: Iterable[RosterEdg
 def _joints(roster: Roster) -> Mapping[str, bytes]:
     """What each node's engine is made of; encoded, as parameters may hold arrays, and as 1, 1.0 and true differ."""
     content: Any = roster.content()
+    rates = roster.rates or Rates()
+    passed = {name: [turns.plain() for turns in rates.passes(name)] for name in roster.nodes}
     joints: dict[str, list[Any]] = {
-        name: [node, name == roster.world, roster.instance(name)] for name, node in content["nodes"].items()
+        name: [node, name == roster.world, roster.instance(name), passed[name]] for name, node in content["nodes"].items()
     }
     for edge in content["edges"]:
         instances = (roster.instance(edge["lower"]), roster.instance(edge["upper"]))
-        joints[edge["lower"]].append((edge, instances))
+        joints[edge["lower"]].append((edge, instances, passed[edge["upper"]]))
         joints[edge["upper"]].append((edge, instances))
     return {name: encode_value(joint) for name, joint in joints.items()}
 

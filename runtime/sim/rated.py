@@ -72,8 +72,8 @@ def draw_rates(rng: Random, names: Sequence[str], pairs: Sequence[Pair], sensed:
     turns = {name: drawn for name in names if (drawn := _turns(rng)) != EVERY_EPOCH}
     delays = {pair: delay for pair in pairs if (delay := _delay(rng))}
     gathers = frozenset(pair for pair in sensed if rng.random() < 0.3)
-    says_anything = turns or delays or gathers
-    return Rates(turns, delays, gathers) if says_anything else Rates(dict.fromkeys(names[:1], Turns(2)))
+    rates = Rates(turns, delays, gathers, pairs=tuple(pairs))
+    return rates if turns or delays or gathers else replace(rates, turns=dict.fromkeys(names[:1], Turns(2)))
 
 
 class RatedChecker(Checker):

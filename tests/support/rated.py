@@ -17,6 +17,7 @@ from hierax.schemas.checkpoint import decode_state
 from hierax.schemas.messages import Header, Message
 from hierax.schemas.rates import Rates
 
+MOST_DRAINED = 40  # of so many epochs, in some runs any may be a drained one
 MOST_KILLS = 40  # in one run: where more die than can come back, none comes to its end
 
 
@@ -93,6 +94,7 @@ class RatedNetwork:
         for name in hierarchy.nodes:
             self.engines[name] = RatedEngine(self._wiring(name), _Site(self, name))
         self._world = hierarchy.world
+        self.drained = frozenset(epoch for epoch in range(1, MOST_DRAINED) if self.rng.random() < 0.2)
         self.killing = killing
 
     @property
@@ -106,7 +108,8 @@ class RatedNetwork:
         return Wiring(self.hierarchy.bound[name], tuple(edges.values()), place)
 
     def run(self, epochs: int, drains: bool = False) -> None:
-        """Go on until so many epochs are committed, and all is said; `drains`: the last one is a drained one."""
+        """Go on until so many epochs are committed, and all is said; `drains`: the last one is a drained one, and
+        so are some before."""
         while True:
             try:
                 if not self._step(epochs, drains):
@@ -130,7 +133,7 @@ class RatedNetwork:
     def _begin(self, epochs: int, drains: bool) -> None:
         """First the world's record, as whoever hears of an epoch goes on with it."""
         world = self.world
-        world.drains = drains and world.epoch + 1 == epochs
+        world.drains = drains and (world.epoch + 1 == epochs or world.epoch + 1 in self.drained)
         self.saved[self._world] = Saved(world.epoch, 0, world.state, world.state, world.under_way)
         world.begin()
 

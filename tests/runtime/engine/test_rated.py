@@ -118,9 +118,9 @@ def test_two_messages_that_differ_are_noticed_while_the_first_may_count(seed: in
     raise AssertionError("no context was ever sent")
 
 
-def _newest(engine: RatedEngine, slot: Slot) -> Message | None:
-    kept = engine._kept.get(slot, {})
-    return kept[max(kept)] if kept else IN_FORCE(engine, slot)
+def _newest(engine: RatedEngine, slot: Slot) -> Message:
+    newest = engine._kept.of(slot, max(engine._kept._slots[slot], default=0))
+    return IN_FORCE(engine, slot) if newest is None else newest
 
 
 def _forgets(engine: RatedEngine) -> None:
