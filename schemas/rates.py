@@ -171,7 +171,7 @@ class Rates:
                 awaited[lower] -= 1
                 if not awaited[lower]:
                     done.append(lower)
-        return {name: tuple(sorted(turns, key=lambda each: (each.every, each.offset))) for name, turns in wanted.items()}
+        return {name: tuple(sorted(turns, key=Turns.plain)) for name, turns in wanted.items()}
 
     def is_sensed(self, lower: str, upper: str, epoch: int) -> bool:
         """Whether φ of an edge is applied in an epoch: in its upper node's turns; where it gathers, its lower one's."""

@@ -105,7 +105,8 @@ class Roster:
         if self.timing is None:
             return None
         delays = {edge.pair: edge.delay for edge in self.edges if edge.delay}
-        return Rates(self.turns, delays, frozenset(edge.pair for edge in self.edges if edge.gather), self.timing, self.pairs)
+        gathers = frozenset(edge.pair for edge in self.edges if edge.gather)
+        return Rates(self.turns, delays, gathers, self.timing, self.pairs)
 
     def with_rates(self, rates: Rates) -> "Roster":
         """The same nodes and edges with these rates."""

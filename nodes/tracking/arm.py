@@ -27,7 +27,7 @@ from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
 from hierax.nodes.tracking.search.multistart import held, in_turn
-from hierax.runtime import Node, Step, Value
+from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
 
 _Objects = tuple[schema.TrackedObject, ...]
@@ -53,6 +53,8 @@ class ArmNode(Node):
         prior: false: an image corrects poses as if nothing were known of them but where to look.
         model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; None: the first
             image that shows enough of an object tells.
+        waits: up to this epoch it waits for its first context, and objects stay where they are said to be: the spatial
+            node may take part, or its predictions count, from a later epoch on only.
         camera: of a camera there might have been, world_from_camera, from which the first poses are seen; None: they
             are seen from the first image's.
 
@@ -74,6 +76,7 @@ class ArmNode(Node):
         patience: int = const.PATIENCE,
         prior: bool = True,
         model_tolerance_mm: float | None = None,
+        waits: int = 0,
         camera: Floats | None = None,
     ) -> None:
         check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
@@ -95,6 +98,7 @@ class ArmNode(Node):
         self._found_score = found_score
         self._patience = patience
         self._prior = prior
+        self._waits = waits
         self._first_camera = camera
 
     def initial_belief(self) -> schema.ArmBelief:
@@ -156,13 +160,19 @@ class ArmNode(Node):
         }
 
     def predict(
-        self, context: tuple[schema.Imagery, ...], actions: schema.Nothing, belief: schema.ArmBelief
+        self,
+        context: tuple[schema.Imagery, ...],
+        actions: schema.Nothing,
+        belief: schema.ArmBelief,
+        tick: Tick = NO_TICK,
     ) -> schema.ArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context that
         `hierax.nodes.tracking.render.SegmentedDepth` gives; without any the arm knows no shapes, and every object is
         lost."""
         camera = belief["camera"]
         if belief["intrinsics"] is None:  # nothing was ever seen
+            return belief
+        if not context and tick.epoch <= self._waits:
             return belief
         if camera is None or not context:
             return {**belief, "objects": tuple(_shapeless(item) for item in belief["objects"])}

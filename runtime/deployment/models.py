@@ -167,8 +167,8 @@ class RestartModel(_Model):
 class SchedulingModel(_Model):
     """How the system is asked to run a node's thread; where that is not allowed, one warning says how it would be."""
 
-    policy: Literal["fifo", "rr", "other"] = _field(
-        "real-time (first in, first out; in turns), or as all else", "other"
+    policy: Literal["fifo", "rr", "other", "idle"] = _field(
+        "real-time (first in, first out; in turns), as all else, or giving way to all else", "other"
     )
     priority: int = _field("of a real-time policy", 1, ge=1, le=99)
     cpus: list[Annotated[int, Field(ge=0, le=4095)]] | None = _field(

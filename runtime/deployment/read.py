@@ -28,6 +28,7 @@ from hierax.runtime.deployment.models import first_error
 from hierax.runtime.deployment.parameters import apply_override, substitute
 from hierax.runtime.deployment.rates import TOGETHER, rated_keys, rates_of
 from hierax.runtime.deployment.tree import read_tree
+from hierax.runtime.host.scheduling import REAL_TIME
 from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.loading.nearest import did_you_mean
@@ -247,7 +248,7 @@ def node_terms(
             raise document.error(("nodes", name, "rate_hz"), RATELESS)
         if is_rated and process_terms(node, otherwise(name), document, ("nodes", name)).fails_alone:
             raise document.error(("nodes", name, "on_loss"), f"detach means nothing here: {TOGETHER}")
-        if (asked := node.scheduling) and asked.policy == "other" and "priority" in asked.model_fields_set:
+        if (asked := node.scheduling) and asked.policy not in REAL_TIME and "priority" in asked.model_fields_set:
             what = "means something only with a real-time policy: fifo or rr"
             raise document.error(("nodes", name, "scheduling", "priority"), what)
     return {name: process_terms(node, otherwise(name), document, ("nodes", name)) for name, node in nodes.items()}

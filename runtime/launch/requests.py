@@ -13,6 +13,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.rates import TOGETHER
 from hierax.runtime.deployment.read import RATELESS
+from hierax.runtime.host.scheduling import POLICIES
 from hierax.runtime.launch.audit import Audit, asker
 from hierax.runtime.launch.child import ProcessState
 from hierax.runtime.launch.frames import NEWCOMER
@@ -272,7 +273,7 @@ def _is_scheduling(value: Value) -> bool:
         return False
     priority, cpus = value["priority"], value["cpus"]
     return (
-        value["policy"] in ("fifo", "rr", "other")
+        value["policy"] in POLICIES
         and type(priority) is int
         and 1 <= priority <= 99
         and (

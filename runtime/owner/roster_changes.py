@@ -205,7 +205,8 @@ def _joints(roster: Roster) -> Mapping[str, bytes]:
     rates = roster.rates or Rates()
     passed = {name: [turns.plain() for turns in rates.passes(name)] for name in roster.nodes}
     joints: dict[str, list[Any]] = {
-        name: [node, name == roster.world, roster.instance(name), passed[name]] for name, node in content["nodes"].items()
+        name: [node, name == roster.world, roster.instance(name), passed[name]]
+        for name, node in content["nodes"].items()
     }
     for edge in content["edges"]:
         instances = (roster.instance(edge["lower"]), roster.instance(edge["upper"]))

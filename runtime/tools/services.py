@@ -11,6 +11,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import read_text, shipped
 from hierax.runtime.deployment.secrets import public_settings, secret_values
+from hierax.runtime.host.scheduling import REAL_TIME
 from hierax.runtime.host.zenoh_settings import names_file
 
 IMAGE = "hierax"
@@ -104,7 +105,7 @@ class Service:
     def priority(self) -> int:
         """The highest real-time priority that a node asks for; 0: none does."""
         asked = [each.scheduling for each in self.deployment.terms.values() if each.scheduling is not None]
-        return max((int(str(each["priority"])) for each in asked if each["policy"] != "other"), default=0)
+        return max((int(str(each["priority"])) for each in asked if each["policy"] in REAL_TIME), default=0)
 
 
 def check_settings(deployment: Deployment, settings: Sequence[str]) -> None:
