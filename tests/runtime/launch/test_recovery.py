@@ -7,6 +7,7 @@ by the digests that are written, acts by the device's own log.
 from __future__ import annotations
 
 import io
+import json
 import os
 import random
 import re
@@ -221,16 +222,17 @@ edges:
 
 
 def test_a_process_that_was_taken_for_lost_is_refused(device: Device, tmp_path: Path) -> None:
-    """Its keeper is stopped with it, as on a machine that is cut off; both go on later."""
-    epochs = 1000
+    """Its keeper is stopped with it, as on a machine that is cut off; both go on later, and the run until they have."""
     device.write(deadline_s=DEADLINE_S)
     snippet = tmp_path / "ear.yaml"
     snippet.write_text(SNIPPET, encoding="utf-8")
-    with device.launch(epochs, moves_s=MOVE_S) as launch:
+    with device.launch(100_000, moves_s=MOVE_S) as launch:
         launch.until_epoch(10)
         with Command(tmp_path, "attach", str(snippet), "--here") as keeper:
             until(lambda: bool(keeper.printed) or not keeper.running, "the attachment")
-            (attached,) = re.findall("^attached ear at epoch ([0-9]+)\n$", "".join(keeper.printed))
+            found = re.findall("^attached ear at epoch ([0-9]+)\n$", "".join(keeper.printed))
+            assert found, (keeper.err, launch.err)
+            (attached,) = found
             (ear,) = processes_of(keeper.process.pid)
             keeper.process.send_signal(signal.SIGSTOP)
             since = stop(ear)
@@ -244,7 +246,10 @@ def test_a_process_that_was_taken_for_lost_is_refused(device: Device, tmp_path: 
             assert keeper.process.returncode == 0
             assert not is_alive(ear)
         assert launch.running
-        report = launch.report()
+        launch.process.send_signal(signal.SIGINT)
+        report = json.loads(launch.end())
+        assert launch.process.returncode == 130, launch.err
+    epochs = report["epochs"]
     (lost,) = re.findall("ear: its process is lost in epoch ([0-9]+)", launch.err)
     changes = ["--at", f"{attached}:attach:{snippet}", "--at", f"{lost}:detach:ear"]
     assert acts(device.log) == list(range(1, epochs + 1))
