@@ -15,7 +15,7 @@ What a neighbour lacks is known by what it says. Context of a turn comes when th
 so observations up to there are not asked for again; observations of an epoch come when its sender has done the one
 before, so of what is in force by then, nothing older is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
@@ -425,8 +425,7 @@ class RatedEngine(Engine):
     def _predict(self) -> None:
         if not self._takes_part:  # in a drained epoch those above are done
             self._enter(Phase.DONE)
-            for lower in self.node.below:
-                self._send(CONTEXT, lower, (), NO_DIGEST)
+            self._say_what_is_saved(self._hand_on_nothing)
             return
         self.inbox = {slot: self._in_force(slot) for slot in self._counting}
         for slot, oldest in self._counting.items():
@@ -436,9 +435,18 @@ class RatedEngine(Engine):
     # --- what is said
 
     def _tell_below(self) -> None:
+        self._say_what_is_saved(self._send_context)
+
+    def _hand_on_nothing(self) -> None:
+        for lower in self.node.below:
+            self._send(CONTEXT, lower, (), NO_DIGEST)
+
+    def _say_what_is_saved(self, say: Callable[[], None]) -> None:
+        """Write down what is about to be said, and where the node is, also at the end of a drained epoch: another
+        roster may follow, and then nobody is told any more what had been under the one before."""
         self._turned, self._remembered = self.epoch, None
         self._unsent = []
-        self._send_context()
+        say()
         unsent, self._unsent = self._unsent, None
         self._effects.save(self.epoch, 0, self.encoded_start, self.encoded)  # with what is about to be sent
         for message in unsent:
