@@ -4,7 +4,7 @@ Both records are one msgpack array that any msgpack library reads, a format numb
 
     [format, epoch, attempt, instance, roster, finished, start, now, under_way]
     [format, epoch, attempt, instance, roster, highest_version, last_digest, state,
-     intended, acted, processes, last_attempt, trial, alone, under_way]
+     intended, acted, processes, last_attempt, trial, alone, under_way, drains]
 
 Roster and states are in them as bytes, each one encoded value: as they are at hand
 encoded, a record takes about a microsecond."""
@@ -17,7 +17,7 @@ from hierax.schemas.messages import DIGEST_BYTES, TYPE_NAMES, Message, decode_me
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import PACKERS, Value, decode_value, encode_value, fits, pack
 
-FORMAT = 2
+FORMAT = 3
 
 _MAX_WHOLE = (1 << 64) - 1
 
@@ -57,6 +57,7 @@ class WorldRecord(NamedTuple):
     trial: bytes = b""
     alone: bytes = b""  # the encoded array of the names of all nodes that fail alone; empty: unknown
     under_way: bytes = b""  # as a `Checkpoint` has it
+    drains: bool = False  # whether the epoch under way is a drained one, as the roster is to change after it
 
 
 _CHECKPOINT: dict[str, type] = {"format": int, **get_type_hints(Checkpoint)}

@@ -119,6 +119,7 @@ class WorldMember(World, OwnerEffects):
             last_attempt=record.last_attempt,
             tried=_living_trial(checkpoint.decode_trial(record.trial), living),
             alone=checkpoint.decode_alone(record.alone),
+            drains=record.drains,
         )
 
     def start(self) -> None:
@@ -305,6 +306,7 @@ class WorldMember(World, OwnerEffects):
             else checkpoint.encode_trial(trial.name, trial.before, (trial.process, *trial.born), trial.alone),
             alone=self._alone_bytes,
             under_way=engine.under_way,
+            drains=owner.progress.drains,
         )
 
     def _proceed(self, its_turn: bool = False) -> None:

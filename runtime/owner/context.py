@@ -28,10 +28,10 @@ class EpochProgress:
     attempt: int  # of the epoch after that, the last one begun; NEVER: none was
     settled: bool  # it may have been acted upon, so it is done again with the same nodes
     last_attempt: int  # the one of the last epoch committed that was
+    drains: bool = False  # whether the epoch under way does not overlap with the next one
 
     def __post_init__(self) -> None:
         self.running = False  # whether an epoch is under way
-        self.drains = False  # whether the epoch under way does not overlap with the next one
         self.drained = False  # whether the last one committed did not
         self.held = False  # whether the next one is not due yet
         self.over = False  # whether it was the last one of the run

@@ -43,12 +43,12 @@ class Owner(OwnerPart):
         last_attempt: int = 0,  # the one of the last epoch committed that was
         tried: Tried | None = None,  # as `Members` has it
         alone: Iterable[str] | None = None,  # likewise
+        drains: bool = False,  # whether the epoch after the last one committed was begun as a drained one
     ) -> None:
         members = Members(roster, processes, born, effects, clock, policy, tried, alone)
         self._inquiry = Inquiry(effects, clock, policy, members)
-        progress = EpochProgress(
-            members, self._inquiry, effects, epoch=epoch, attempt=attempt, settled=settled, last_attempt=last_attempt
-        )
+        counts = {"epoch": epoch, "attempt": attempt, "last_attempt": last_attempt}
+        progress = EpochProgress(members, self._inquiry, effects, **counts, settled=settled, drains=drains)
         context = OwnerContext(effects, clock, policy, members, progress, Answers(members, effects))
         super().__init__(context)
         self.planning = Planning(context, self.proceed, highest)

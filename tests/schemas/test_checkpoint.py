@@ -55,9 +55,10 @@ WORLD = WorldRecord(
     intended=6,
     acted=5,
     trial=encode_trial("arm", ROSTER, ("token", 2, 5, ""), True),
+    drains=True,
 )
 CHECKPOINT_BYTES = bytes.fromhex(
-    "99 02 07 01 02 03 c3"
+    "99 03 07 01 02 03 c3"
     "c4 0e 93 81 a4 6c6f7374 c2 a4 77616974 90"
     "c4 19 93 81 a4 6c6f7374 c3 a6 666f6c6c6f77 91 cb 3fe0000000000000"
     "c4 00"
@@ -108,8 +109,8 @@ def test_bytes_once_written_are_read_for_ever() -> None:
 
 
 def test_any_msgpack_library_reads_them() -> None:
-    assert msgpack.unpackb(encode_checkpoint(CHECKPOINT)) == [2, *CHECKPOINT]
-    assert msgpack.unpackb(encode_world(WORLD)) == [2, *WORLD]
+    assert msgpack.unpackb(encode_checkpoint(CHECKPOINT)) == [3, *CHECKPOINT]
+    assert msgpack.unpackb(encode_world(WORLD)) == [3, *WORLD]
 
 
 def test_what_is_inside_comes_back() -> None:
@@ -171,7 +172,7 @@ WORLD_INSIDE: list[tuple[dict[str, Any], str, str]] = [
 
 
 def by_hand(record: Checkpoint | WorldRecord) -> bytes:
-    return encode_value((2, *record))
+    return encode_value((3, *record))
 
 
 def check(error: SchemaError, where: str, what: str) -> None:
@@ -223,10 +224,10 @@ def test_a_record_too_large_is_refused() -> None:
         (b"", "checkpoint", "not one msgpack value"),
         (encode_value(None), "checkpoint", "expected an array of 9 fields"),
         (encode_value(()), "checkpoint", "expected an array of 9 fields"),
-        (encode_value((1, "of another version")), "checkpoint.format", "format 1; this version reads format 2"),
-        (encode_value((True, *CHECKPOINT)), "checkpoint.format", "format True; this version reads format 2"),
-        (encode_value((2, *CHECKPOINT, 0)), "checkpoint", "expected an array of 9 fields, got 10"),
-        (encode_world(WORLD), "checkpoint", "expected an array of 9 fields, got 15"),
+        (encode_value((1, "of another version")), "checkpoint.format", "format 1; this version reads format 3"),
+        (encode_value((True, *CHECKPOINT)), "checkpoint.format", "format True; this version reads format 3"),
+        (encode_value((3, *CHECKPOINT, 0)), "checkpoint", "expected an array of 9 fields, got 10"),
+        (encode_world(WORLD), "checkpoint", "expected an array of 9 fields, got 16"),
     ],
 )
 def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> None:
@@ -236,7 +237,7 @@ def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> No
 
 
 def test_a_checkpoint_is_no_world_record() -> None:
-    with pytest.raises(SchemaError, match="record: expected an array of 15 fields, got 9"):
+    with pytest.raises(SchemaError, match="record: expected an array of 16 fields, got 9"):
         decode_world(encode_checkpoint(CHECKPOINT))
 
 
