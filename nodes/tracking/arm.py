@@ -172,7 +172,7 @@ class ArmNode(Node):
         camera = belief["camera"]
         if belief["intrinsics"] is None:  # nothing was ever seen
             return belief
-        if not context and tick.epoch <= self._waits:
+        if not context and 0 < tick.epoch <= self._waits:
             return belief
         if camera is None or not context:
             return {**belief, "objects": tuple(_shapeless(item) for item in belief["objects"])}

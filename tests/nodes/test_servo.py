@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import yaml
 
-from hierax.nodes.servo import CameraNode, MeasuredPosition, MotionNode, SlidingWorld
+from hierax.nodes.servo import CameraNode, Course, MeasuredPosition, MotionNode, SlidingWorld, position_on
 from hierax.runtime import Tick
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.execution import single
 from hierax.runtime.loading.loader import build_hierarchy
 
 FILE = Path(__file__).parents[2] / "deploy" / "servo.yaml"
@@ -167,3 +168,32 @@ def test_a_commanded_position_arrives_to_the_bit() -> None:
 def test_there_are_no_other_policies() -> None:
     policies = SlidingWorld().policies()
     assert [name for name in ("jump 3", "move", "move there") if name in policies] == []
+
+
+RATES = FILE.with_name("servo-rates.yaml")
+
+
+def mean_error_m(*settings: str) -> float:
+    report = single.run(read_deployment(RATES, settings), epochs=None, seed=5)
+    return report.nodes["world"].metrics["tracking_error_mean"]
+
+
+def test_below_a_slow_node_a_course_says_where_the_object_is_in_each_epoch() -> None:
+    assert mean_error_m() < 0.05 < mean_error_m("context=false")
+    assert mean_error_m("every=20", "turn=0.1", "delay=20", "horizon=0.2") < 0.05
+    assert mean_error_m("horizon=0.005") > mean_error_m("context=false"), "it ends before what it says does"
+
+
+def test_a_course_has_the_positions_at_the_end_of_each_epoch() -> None:
+    motion, time_s = MotionNode(step_s=0.1), 0.3
+    belief = motion.predict((), (), {"position": 0.5 * K * time_s**2, "velocity": K * time_s})
+    (course,) = Course(step_s=0.02, horizon_s=0.2, turn_s=0.1)(belief, Tick(time_s=time_s))
+    assert np.allclose(course["positions"], 0.5 * K * (time_s + 0.02 * np.arange(1, 11)) ** 2)
+    for later, number in ((0, 0), (3, 3), (9, 9), (20, 9)):
+        assert position_on(course, time_s + 0.02 * later) == course["positions"][number]
+
+
+@pytest.mark.parametrize("make", [SlidingWorld, MotionNode])
+def test_a_step_takes_time(make: type) -> None:
+    with pytest.raises(ValueError, match="step_s: expected a number of seconds, more than 0, got 0"):
+        make(step_s=0)

@@ -45,6 +45,7 @@ class _Site(EngineEffects):
     def send(self, message: Message) -> None:
         self._may_die()
         self.network.under_way.append(message)
+        self.network.sent.append(message.header)
 
     def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
         self._may_die()
@@ -84,6 +85,7 @@ class RatedNetwork:
     ) -> None:
         self.rng, self.doubling, self.killing = random.Random(seed), doubling, 0.0
         self.under_way: list[Message] = []
+        self.sent: list[Header] = []
         self.commits: dict[int, bytes] = {}
         self.done: dict[str, dict[int, tuple[bytes, bytes]]] = {name: {} for name in hierarchy.nodes}
         self.saved: dict[str, Saved] = {}

@@ -11,6 +11,7 @@ from hierax.nodes.tracking import arm as tracking_arm
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.math.geometry import NO_POSES, exp_so3, make_pose, pose_error
 from hierax.nodes.tracking.search.missing import Sighting
+from hierax.runtime import Tick
 from hierax.schemas.values import decode_value, encode_value
 
 
@@ -48,6 +49,17 @@ def test_without_context_everything_is_lost() -> None:
     assert [(item["status"], item["score"]) for item in belief["objects"]] == [("lost", 0.0)]
     assert [(item["nats"], item["probability"]) for item in belief["objects"]] == [(0.0, 0.0)]
     assert arm.metrics(belief) == {"tracked": 0.0, "lost": 1.0, "score_mean": 0.0}
+
+
+def test_before_its_first_context_may_come_nothing_is_lost() -> None:
+    arm = node(waits=2)
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), arm.initial_belief())
+    for epoch in (1, 2):
+        belief = arm.observe(
+            (picture(FIRST_CAMERA, WORLD_FROM_OBJECT, epoch),), arm.predict((), (), belief, Tick(epoch=epoch))
+        )
+        assert [item["status"] for item in belief["objects"]] == ["expected"]
+    assert [item["status"] for item in arm.predict((), (), belief, Tick(epoch=3))["objects"]] == ["lost"]
 
 
 def test_what_context_no_longer_tells_of_is_no_longer_probable() -> None:

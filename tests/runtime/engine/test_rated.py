@@ -20,11 +20,12 @@ from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
+from hierax.runtime.engine.coming import includes
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Slot
-from hierax.schemas.messages import Message
+from hierax.schemas.messages import OBSERVATIONS, Message
 from hierax.schemas.rates import Rates, Turns
 
 EPOCHS = 12
@@ -65,6 +66,21 @@ def test_processes_that_die_change_nothing(one: int, two: int, order: int, killi
     network = RatedNetwork(hierarchy, rates, order, doubling=0.2, killing=killing)
     network.run(EPOCHS, drains)
     check_as_direct(network, Direct(hierarchy, rates), hierarchy.world)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_nobody_is_told_of_an_epoch_that_nobody_needs(seed: int) -> None:
+    hierarchy = random_hierarchy(seed, 6)
+    rates = random_rates(seed, hierarchy)
+    network = RatedNetwork(hierarchy, rates, seed)
+    network.run(EPOCHS)
+    told = {header.line[1:]: set[int]() for header in network.sent}
+    for header in network.sent:
+        if header.kind == OBSERVATIONS:
+            told[header.line[1:]].add(header.epoch)
+    for lower, upper in hierarchy.bound_edges:
+        needed = {epoch for epoch in range(1, EPOCHS + 1) if includes(rates.passes(upper), epoch)}
+        assert told[lower, upper] == needed
 
 
 @settings(max_examples=examples(60, 600))

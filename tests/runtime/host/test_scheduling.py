@@ -31,6 +31,19 @@ def test_a_thread_keeps_to_its_processors() -> None:
     assert found == [{first}]
 
 
+def test_who_gives_way_takes_what_computes_for_it_along() -> None:
+    found = []
+
+    def do() -> None:
+        ask_scheduler("mind", "idle", 1, None)
+        found.append(os.sched_getscheduler(0))
+        beside(lambda: found.append(os.sched_getscheduler(0)))
+
+    beside(do)
+    assert found == [os.SCHED_IDLE, os.SCHED_IDLE]
+    assert os.sched_getscheduler(0) != os.SCHED_IDLE
+
+
 def test_what_is_not_allowed_is_told_once_with_what_would_allow_it(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -18,6 +18,7 @@ from support.strategies import randoms
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import Pair, check_graph
 from hierax.runtime.owner.roster_changes import ChangeError, apply, removed, touched
+from hierax.schemas.rates import FROM_THE_BEGINNING, Turns
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 SCENE, ARM, BASE, EYE = (Reference(f"robots.{name}:Node") for name in ("scene", "arm", "base", "eye"))
@@ -172,6 +173,15 @@ def test_what_is_refused(change: Change, message: str) -> None:
         changed(change)
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
+
+
+def test_with_rates_who_has_to_pass_other_epochs_is_touched_however_far_away() -> None:
+    turns = {"arm": Turns(20), "eye": Turns(40), "base": Turns(10)}
+    roster = replace(ROSTER, turns=turns, timing=FROM_THE_BEGINNING)
+    attach = Attach({"lens": EYE}, (RosterEdge("eye", "lens"),), {"lens": Turns(3)})
+    assert touched(roster, changed(attach, roster)) == {"lens", "eye", "arm", "base", "world"}
+    rarer = replace(attach, turns={"lens": Turns(80)})
+    assert touched(replace(roster, turns={}), changed(rarer, replace(roster, turns={}))) == {"lens", "eye"}
 
 
 def test_arrays_among_parameters_are_compared() -> None:
