@@ -26,13 +26,8 @@
 #define REDOS 0
 #endif
 
-/* Processes: the world's (with the owner), the arm's, spatial's, and R: another one for the arm. */
-#define W 0
-#define A 1
-#define S 2
-#define R 3
-/* Spin 6.5 stumbles over its own conditional expression in some inlines. */
-#define IF(c, a, b) ((c) * (a) + !(c) * (b))
+#include "common.pml"
+#define R 3 /* another process for the arm; the owner is beside the world's */
 #define NAME(p) IF((p) == R, A, (p))
 
 /* A message is a number, and a box a sorted bag: it is read in any order. */
