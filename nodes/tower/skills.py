@@ -35,12 +35,14 @@ from hierax.nodes.picking.phases import (
     unless_late,
 )
 from hierax.nodes.picking.planning import OPENING_M, before, choose
+from hierax.nodes.tower.display import skill_things
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
 from hierax.nodes.tower.rules import TABLE
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.schema import LOST
-from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
+from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.node import Policy
+from hierax.runtime.core.showing import Things
 
 OVER, CARRY, LOWER, OPEN = "over", "carry", "lower", "open"
 
@@ -153,6 +155,10 @@ class SkillsNode(Node):
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """How many moves have begun."""
         return {"moves": float(belief["moves"])}
+
+    def show(self, step: Step, before: Value) -> Things:
+        """What the hand does, for what, and where to."""
+        return skill_things(step.belief, step.time_s)
 
 
 def gripper_commands(actions: Elements) -> Elements:
