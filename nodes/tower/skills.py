@@ -2,7 +2,8 @@
 
 A task becomes the name of a policy, as the commands for the gripper do below. Phases: watch, over, approach, descend,
 close, lift, carry, lower, open, retreat, and watch again. Another task counts where it can: before the hand closes, and
-while a cube is carried; else when the present one is done."""
+while a cube is carried; else when the present one is done. Where no hand gets at a cube, one that is in the way is
+moved aside first."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
@@ -34,9 +35,10 @@ from hierax.nodes.picking.phases import (
     steadied,
     unless_late,
 )
-from hierax.nodes.picking.planning import OPENING_M, before, choose
+from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.display import skill_things
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
+from hierax.nodes.tower.reaching import Reach, reach
 from hierax.nodes.tower.rules import TABLE
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.schema import LOST
@@ -65,9 +67,6 @@ VIEWS = (
     gripper_down(np.array([0.44, 0.0, 0.46])),
 )
 """world_from_gripper where the camera overlooks the table: from home, from both sides, and from above."""
-
-Goal = tuple[int, int]
-"""A cube, and what it is to be moved onto."""
 
 
 def name_of(tasks: Elements) -> str:
@@ -103,9 +102,10 @@ class SkillsNode(Node):
     The belief is that of phases (`hierax.nodes.picking.phases`), with ``goal`` (what is being done; None: nothing),
     ``asked`` (what was asked for last), ``view`` (from which of `VIEWS` it watches), ``place`` (world_from_gripper
     where the cube is put down; None before that is known), ``sighted_s`` (when it was last seen, while the cube is
-    carried, what that comes onto; None: never), ``refused`` (what cannot be done with the cube in the hand), ``width``
-    (of the gripper, when it was last looked at), ``stands`` (cubes of which the builder says so) and ``moves``, how
-    many have begun.
+    carried, what that comes onto; None: never), ``refused`` (what is asked for and cannot be done with the cube in the
+    hand, or before the one that is moved in its place is out of the way), ``width`` (of the gripper, when it was last
+    looked at), ``put`` (the cube that the hand has put down last, until it begins to move the next one; None: none),
+    ``stands`` (cubes of which the builder says so) and ``moves``, how many have begun.
 
     Args: once: the cubes are where they were when the first move began, or where the hand has put them since, whatever
         is seen. For comparison."""
@@ -124,6 +124,7 @@ class SkillsNode(Node):
             "steady_s": None,
             **seen,
             **nothing,
+            "put": None,
             "stands": (),
             "moves": 0,
         }
@@ -167,9 +168,11 @@ def gripper_commands(actions: Elements) -> Elements:
 
 
 def held_and_standing(belief: Value) -> Elements:
-    """ϱ of the skills node: {"held": id of the cube that the hand holds, None for none; "stands": those that stand;
-    "looks": whether the camera overlooks the table, so that what is not seen where it should be is elsewhere}."""
-    return ({"held": _held(belief), "stands": belief["stands"], "looks": belief["phase"] == WATCH},)
+    """ϱ of the skills node: {"held": id of the cube that the hand holds, None for none; "stands": those that stand,
+    with the one that it has put down last; "looks": whether the camera overlooks the table, so that what is not seen
+    where it should be is elsewhere}."""
+    stands = {*belief["stands"]} if belief["put"] is None else {*belief["stands"], belief["put"]}
+    return ({"held": _held(belief), "stands": tuple(sorted(stands)), "looks": belief["phase"] == WATCH},)
 
 
 def scene_and_skill(belief: Value) -> Elements:
@@ -197,13 +200,13 @@ def _held(belief: Value) -> int | None:
 
 def _with_goal(belief: Value, time_s: float) -> Value:
     """The belief with what is asked for, where that may change now."""
-    asked, goal = belief["asked"], belief["goal"]
-    if asked == goal:
+    asked = belief["asked"]
+    if asked == belief["goal"] or (asked is not None and asked == belief["refused"]):
         return belief
     if belief["phase"] in _FREE:
         return _watching({**belief, "goal": asked}, time_s)
     carried = belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]
-    if carried and asked != belief["refused"]:
+    if carried:
         return {**belief, "goal": asked, "place": None, "sighted_s": None}
     return belief
 
@@ -259,17 +262,23 @@ def _after_watch(belief: Value, time_s: float) -> Value:
     side is looked for from another one."""
     belief = steadied(belief, has_reached(belief, VIEWS[belief["view"]]), time_s)
     if belief["goal"] is not None and is_steady(belief, time_s, LOOK_S):
-        number = belief["goal"][0]
-        sure = [body["id"] for body in belief["bodies"] if body["id"] == number and is_sure(body)]
-        chosen = choose(belief["bodies"], sure)
-        if chosen is not None:
-            grasp = {"target": number, "box_from_gripper": chosen.box_from_gripper, "box_width": chosen.width_m}
-            return entered(aimed({**belief, **grasp, "moves": belief["moves"] + 1}), OVER, time_s)
+        found = reach(belief["bodies"], belief["goal"])
+        if found is not None:
+            return entered(aimed(_begun(belief, found)), OVER, time_s)
     if not is_steady(belief, time_s, VIEW_S):
         return belief
     searches = belief["goal"] is not None or any(body["status"] == LOST for body in belief["bodies"])
     view = (belief["view"] + 1) % len(VIEWS) if searches else 0
     return belief if view == belief["view"] else {**belief, "view": view, "steady_s": None}
+
+
+def _begun(belief: Value, reached: Reach) -> Value:
+    """The belief in which a move begins: the one that was asked for, or one that makes room for it."""
+    number, box_from_gripper, width_m = reached.grasp
+    grasp = {"target": number, "box_from_gripper": box_from_gripper, "box_width": width_m}
+    refused = None if reached.goal == belief["goal"] else belief["goal"]
+    moves = belief["moves"] + 1
+    return {**belief, **grasp, "goal": reached.goal, "refused": refused, "moves": moves, "put": None}
 
 
 def _after_over(belief: Value, time_s: float) -> Value:
@@ -351,7 +360,7 @@ def _after_lower(belief: Value, time_s: float) -> Value:
         return entered(belief, RETREAT, time_s)
     belief = steadied(belief, has_reached(belief, belief["place"]), time_s)
     there = is_steady(belief, time_s, STILL_S) or is_late(belief, time_s)
-    return entered(belief, OPEN, time_s) if there else belief
+    return entered({**belief, "put": belief["target"]}, OPEN, time_s) if there else belief
 
 
 def _after_open(belief: Value, time_s: float) -> Value:

@@ -154,7 +154,8 @@ def test_which_cube_is_held_is_told_up_and_down() -> None:
     assert held_and_standing(world.belief) == ({"held": None, "stands": (), "looks": True},)
     for phase, held in ((CLOSE, None), (LIFT, 2), (CARRY, 2), (LOWER, 2), (OPEN, None)):
         world.until(phase, (2, 1))
-        assert held_and_standing(world.belief) == ({"held": held, "stands": (), "looks": False},)
+        put = (2,) if phase == OPEN else ()
+        assert held_and_standing(world.belief) == ({"held": held, "stands": put, "looks": False},)
         assert scene_and_skill(world.belief)[-1]["skill"] == {"phase": phase, "goal": (2, 1), "holding": held}
 
 
@@ -211,3 +212,43 @@ def test_without_a_task_the_arm_watches() -> None:
 def test_what_is_no_task_s_policy_is_none(name: str) -> None:
     with pytest.raises(KeyError):
         SkillsNode().policies()[name]
+
+
+def hemmed_in(*near: tuple[float, float]) -> Obedient:
+    """The second cube stands in the middle of others, so near that no finger gets in between."""
+    world = Obedient()
+    places = ((0.40, 0.15), (0.5, 0.0), *((0.5 + x * SIDE_M * 1.02, y * SIDE_M * 1.02) for x, y in near))
+    world.poses = {
+        number: make_pose(np.eye(3), np.array([*place, SIDE_M / 2])) for number, place in enumerate(places, start=1)
+    }
+    return world
+
+
+SIDES = [(1.0, 0.0), (0.0, 1.0)], [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
+
+
+@pytest.mark.parametrize("near", SIDES)
+def test_what_is_in_the_way_is_moved_aside_first(near: list[tuple[float, float]]) -> None:
+    world = hemmed_in(*near)
+    before = {number: pose.copy() for number, pose in world.poses.items()}
+    while world.belief["target"] != 2:
+        world.until(OVER, (2, 1))
+        aside = world.belief["target"]
+        if aside != 2:
+            assert world.belief["goal"] == (aside, 0)
+            assert aside != 1  # what it comes onto stays
+            world.until(OPEN, (2, 1))
+            assert world.belief["target"] == aside
+            assert np.linalg.norm(world.poses[aside][:2, 3] - before[aside][:2, 3]) > SIDE_M
+            world.until(WATCH, (2, 1))
+    assert 1 <= world.belief["moves"] - 1 < len(near)
+    world.until(OPEN, (2, 1))
+    np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[1][:2, 3], atol=0.0015)
+
+
+def test_what_is_in_the_way_stays_when_nothing_is_asked_for_any_more() -> None:
+    world = hemmed_in(*SIDES[0])
+    world.until(OVER, (2, 1))
+    world.epoch(None)
+    world.epoch(None)
+    assert (world.belief["phase"], world.belief["goal"]) == (WATCH, None)
