@@ -8,6 +8,7 @@ import numpy as np
 from hierax.nodes.picking.phases import is_sure
 from hierax.nodes.picking.planning import Grasp, choose
 from hierax.nodes.tower.rules import TABLE
+from hierax.nodes.tracking.math.geometry import Floats
 
 _NEAR_M = 0.12  # so near, from middle to middle, a cube may be in the way of the hand that takes another one
 
@@ -22,15 +23,17 @@ class Reach(NamedTuple):
     goal: Goal  # the one that was asked for, or that a cube which is in its way comes onto the table
 
 
-def reach(bodies: Sequence[Mapping[str, Any]], goal: Goal) -> Reach | None:
+def reach(bodies: Sequence[Mapping[str, Any]], goal: Goal, tried: Sequence[tuple[int, Floats]] = ()) -> Reach | None:
     """How a goal is begun; None: its cube is not seen well enough, or not to be taken, nor any one that is in the way.
 
-    Args: bodies: as `hierax.nodes.picking.tracker.scene_known` tells them."""
+    Args: bodies: as `hierax.nodes.picking.tracker.scene_known` tells them; tried: ids of cubes, each with a
+        box_from_gripper that the hand did not come to, which is not chosen again before all others were."""
     sure = {body["id"]: body for body in bodies if is_sure(body)}
     number, onto = goal
     if number not in sure:
         return None
-    grasp = choose(bodies, [number])
+    failed = [box_from_gripper for other, box_from_gripper in tried if other == number]
+    grasp = choose(bodies, [number], failed) or (choose(bodies, [number]) if failed else None)
     if grasp is not None:
         return Reach(grasp, goal)
     middle = sure[number]["pose"][:3, 3]

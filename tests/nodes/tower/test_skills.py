@@ -9,19 +9,8 @@ import pytest
 
 from hierax.nodes.picking.panda import HOME_GRIPPER
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
-from hierax.nodes.tower.skills import (
-    CARRY,
-    LOWER,
-    OPEN,
-    OVER,
-    REST,
-    VIEW_S,
-    VIEWS,
-    SkillsNode,
-    gripper_commands,
-    held_and_standing,
-    scene_and_skill,
-)
+from hierax.nodes.tower.moving import CARRY, LOWER, MOST_TRIED, OPEN, OVER, VIEW_S, VIEWS
+from hierax.nodes.tower.skills import REST, SkillsNode, gripper_commands, held_and_standing, scene_and_skill
 from hierax.nodes.tracking.math.geometry import invert, make_pose
 from hierax.runtime import Tick
 
@@ -41,7 +30,7 @@ class Obedient:
             number: make_pose(np.eye(3), np.array([x, y, SIDE_M / 2]))
             for number, (x, y) in enumerate([(0.5, 0.0), (0.45, 0.12), (0.42, -0.13)], start=1)
         }
-        self.slips = False
+        self.slips, self.stuck = False, False
         self.statuses: dict[int, str] = {}
         self.phases: list[str] = []
         self._grips: tuple[int, Any] | None = None
@@ -72,7 +61,7 @@ class Obedient:
         raise AssertionError(f"{phase} never came: {self.phases}")
 
     def _obey(self, wish: Any) -> None:
-        self.gripper = wish["gripper"]
+        self.gripper = self.gripper if self.stuck else wish["gripper"]
         near = [number for number, pose in self.poses.items() if np.linalg.norm((pose - self.gripper)[:3, 3]) < 0.02]
         if wish["width"] > SIDE_M or self.slips:
             self._grips = None
@@ -252,3 +241,49 @@ def test_what_is_in_the_way_stays_when_nothing_is_asked_for_any_more() -> None:
     world.epoch(None)
     world.epoch(None)
     assert (world.belief["phase"], world.belief["goal"]) == (WATCH, None)
+
+
+def test_a_way_to_take_a_cube_to_which_the_hand_does_not_come_is_not_tried_again_at_once() -> None:
+    world = Obedient()
+    world.until(APPROACH, (2, 1))
+    first = world.belief["box_from_gripper"]
+    world.stuck = True  # as a joint at its end holds it up
+    world.until(RETREAT, (2, 1))
+    world.stuck = False
+    world.until(OVER, (2, 1))
+    second = world.belief["box_from_gripper"]
+    assert np.abs(second - first).max() > 0.1
+    world.until(LIFT, (2, 1))
+    assert world.belief["tried"] == ()
+
+
+def test_where_all_ways_to_take_a_cube_have_failed_they_are_tried_again() -> None:
+    world = Obedient()
+    tried: list[Any] = []
+    for _ in range(MOST_TRIED + 2):
+        world.until(OVER, (2, 1))
+        tried.append(world.belief["box_from_gripper"])
+        world.stuck = True
+        world.until(RETREAT, (2, 1))
+        world.stuck = False
+    assert not np.allclose(tried[0], tried[1])
+    assert len(world.belief["tried"]) == MOST_TRIED
+    world.until(LIFT, (2, 1))
+
+
+def test_what_the_hand_has_put_down_and_is_lost_stands_nowhere() -> None:
+    world = Obedient()
+    world.until(OPEN, (2, 1))
+    world.until(WATCH, (2, 1))
+    assert held_and_standing(world.belief)[0]["stands"] == (2,)
+    world.statuses[2] = "lost"
+    world.epoch((3, 2))
+    assert held_and_standing(world.belief)[0]["stands"] == ()
+
+
+def test_a_place_on_the_table_to_which_the_hand_does_not_come_will_do() -> None:
+    world = Obedient()
+    world.until(CARRY, (2, 0))
+    world.epoch((2, 0))
+    world.stuck = True
+    world.until(LOWER, (2, 0))
