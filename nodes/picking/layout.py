@@ -10,6 +10,9 @@ import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 
+# Of the table, what the arm reaches and the camera sees.
+TABLE_MIDDLE_M = np.array([0.5, 0.0, 0.0])
+
 # By id, from 1: sides and RGB of the cubes.
 SIDES_M = (0.055, 0.040, 0.048, 0.044, 0.051, 0.046)
 COLOURS = ((196, 52, 44), (45, 96, 190), (58, 150, 72), (235, 190, 40), (120, 70, 160), (60, 170, 180))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.picking.panda import HOME_GRIPPER, HOME_RAD, WIDEST_M, joints_for
-from hierax.nodes.tracking.math.geometry import Floats, invert, make_pose, transform
+from hierax.nodes.tracking.math.geometry import Floats, invert, make_pose, pose_error, transform
 
 APPROACH_M = 0.10  # how far before the grasp the gripper begins to approach it in a straight line
 CLEARANCES_M = (0.006, 0.003)  # how far the gripper keeps off everything; less only where there is no grasp with more
@@ -21,6 +21,7 @@ _SHRUNK_M = 0.005
 _REACHED = 1e-3
 _TURN_COST = 0.3
 _SLIDE_COST = 2.0
+_ALIKE_M, _ALIKE_RAD = 0.002, np.radians(2.0)
 
 
 class Boxes(NamedTuple):
@@ -39,15 +40,17 @@ class Grasp(NamedTuple):
     width_m: float  # between the faces that it takes
 
 
-def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Grasp | None:
+def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int], tried: Sequence[Floats] = ()) -> Grasp | None:
     """The easiest grasp of any eligible box, by id; None where there is none. Of the bodies, {"id", "pose":
     world_from_box, "size": (3,) m}, all are told; the table is z = 0. From above is easier than from the side, little
     turning is easier than much. A grasp is possible where nothing lies on the box, hand and camera keep clear of all
-    boxes and of the table all along the approach, and the arm reaches both ends of it."""
+    boxes and of the table all along the approach, and the arm reaches both ends of it. One whose box_from_gripper was
+    tried is none."""
     poses, halves = (np.stack([body[name] for body in bodies]) for name in ("pose", "size"))
     boxes = Boxes(poses[:, :3, 3], poses[:, :3, :3], halves / 2)
     free = [index for index, body in enumerate(bodies) if body["id"] in eligible and _uncovered(boxes, index)]
     found = [(cost, grasp, pose) for index in free for cost, grasp, pose in _candidates(bodies[index])]
+    found = [each for each in found if not any(_is_alike(each[1].box_from_gripper, other) for other in tried)]
     found.sort(key=lambda item: item[0])
     reached: dict[int, bool] = {}
     for clearance_m in CLEARANCES_M:
@@ -59,6 +62,12 @@ def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Gras
             if reached[index]:
                 return grasp
     return None
+
+
+def _is_alike(first: Floats, second: Floats) -> bool:
+    """Whether two grasps of a box are one, but for how well the box is known."""
+    distance_m, angle_rad = pose_error(first, second)
+    return distance_m < _ALIKE_M and angle_rad < _ALIKE_RAD
 
 
 def before(gripper: Floats, back_m: float = APPROACH_M) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.commands import Command, CommandedNode
-from hierax.nodes.picking.layout import CUBES, guessed, planned
+from hierax.nodes.picking.layout import CUBES, TABLE_MIDDLE_M, guessed, planned
 from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of, gripper_at
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.math.geometry import invert
@@ -55,6 +55,8 @@ class PickArm(CommandedNode, ArmNode):
 class PickSpatial(CommandedNode, SpatialNode):
     """A spatial node in whose imagination the cube that the hand holds moves with the hand. Its belief has ``hand``, as
     the arm felt it (None before the first observation), and ``hand_before``, the same an epoch earlier."""
+
+    table_middle_m = TABLE_MIDDLE_M
 
     def initial_belief(self) -> Value:
         """The belief of `SpatialNode`; nothing is known of the hand yet."""

@@ -6,13 +6,15 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.commands import CommandedNode
+from hierax.nodes.picking.display import truth_things
 from hierax.nodes.picking.layout import CUBES, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Guest, Order, Touch, Workcell
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 from hierax.nodes.tracking.simworld.shapes import Thing, box
 from hierax.nodes.tracking.simworld.world import check_pictures, picture_of
-from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+from hierax.runtime import NO_TICK, Elements, Step, Tick, Value, World
+from hierax.runtime.core.showing import Things
 
 # How far a cube stands off its place in the plan at most, and how far it is turned.
 OFF_PLAN_M = 0.004
@@ -116,6 +118,10 @@ class PickWorld(CommandedNode, World):
         """Whether a cube was grasped (1 or 0), how high the highest is lifted (mm), how long one has been held (s)."""
         held_s, lift_m = (max(body[name] for body in belief["bodies"]) for name in ("held_s", "lift_m"))
         return {"grasped": float(held_s >= HELD_S - 1e-9), "lift_mm": 1000.0 * lift_m, "held_s": held_s}
+
+    def show(self, step: Step, before: Value) -> Things:
+        """Arm and cubes as they truly are, and the figures."""
+        return {**truth_things(step), **super().show(step, before)}
 
 
 def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:

@@ -9,12 +9,14 @@ from typing import Any
 
 from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.phases import WATCH
+from hierax.nodes.tower.display import builder_things
 from hierax.nodes.tower.goals import read_towers
 from hierax.nodes.tower.rules import NO_PLAN, TABLE, Plan, Wish, height_of, is_done, order_of, wish_of
 from hierax.nodes.tower.skills import SkillsNode
 from hierax.nodes.tower.symbols import NOTHING, Symbols, symbols_after
-from hierax.runtime import Elements, Node, Value
+from hierax.runtime import Elements, Node, Step, Value
 from hierax.runtime.core.node import Policy
+from hierax.runtime.core.showing import Things
 
 
 class Builder(Node):
@@ -76,6 +78,10 @@ class Builder(Node):
         done = sum(is_done(tower, symbols) for tower in self.towers)
         stacked = sum(height_of(order_of(tower, symbols), symbols) for tower in self.towers)
         return {"done": float(done), "stacked": float(stacked), "unknown": float(len(symbols.unknown))}
+
+    def show(self, step: Step, before: Value) -> Things:
+        """The symbols with their certainty, the rule or plan, and the figures."""
+        return {**builder_things(step.belief, self.towers, self.cubes), **super().show(step, before)}
 
 
 class TeleoReactive(Builder):

@@ -1,23 +1,34 @@
-"""The spatial node below one that reasons: what was put somewhere, and is not seen, stays there."""
+"""The spatial node below one that reasons: what was put somewhere stays there, unless it is surely seen elsewhere."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hierax.nodes.picking.layout import CUBES
+from hierax.nodes.picking.phases import is_sure
 from hierax.nodes.picking.tracker import PickSpatial, first_bodies
+from hierax.nodes.tower.plausible import hangs, is_sunk, odd_bodies
 from hierax.nodes.tracking.estimation.tracked import diagonal_covariance
-from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, log_so3, make_pose, pose_error
 from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
-from hierax.runtime import Elements, Value
+from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 # How well it is known, in each axis, where something stands that was put there, and is not seen just now.
 STANDS_M, STANDS_RAD = 0.003, np.radians(3.0)
-ODD_M, ODD_EPOCHS = 0.012, 30  # so far off what could carry it, and for so long, a cube cannot be seen to be
-_MIDDLE_M, _REACH_M = np.array([0.5, 0.0]), 0.6  # of the table, in which cubes are looked for
+ODD_EPOCHS = 30  # what is seen for so long where it cannot be is not there
+# What the fingers hold turns and slides so slowly, an epoch, and is not seen farther off than this where it truly is.
+SLIPS_M, SLIPS_RAD = 0.0002, np.radians(0.2)
+OFF_M, OFF_RAD = 0.005, np.radians(5.0)
+FIRM_M, FIRM_RAD, FIRM_EPOCHS = (
+    0.002,
+    np.radians(2.0),
+    8,
+)  # seen so near to where the hand has it, and for so long, it is known how a cube is held
 _DENIED = {"status": LOST, "velocity": np.zeros(6)}
 _STAYS = ("pose", "velocity", "covariance")
+_NO_HOLD = {"hold": None, "firm": 0}
+_NOTHING_TOLD: Value = {"held": None, "stands": (), "looks": True}
 
 
 class TowerSpatial(PickSpatial):
@@ -28,33 +39,58 @@ class TowerSpatial(PickSpatial):
     and is looked for where it is not. And what the camera cannot see from near, while the hand is among the cubes, is
     looked for everywhere, in vain.
 
-    And a cube that is seen in the air, or in the table, for longer than somebody may hold it there, is not there: what
-    is seen is another one, nearer or farther. The belief has ``odd``, of each cube for how many epochs that is so."""
+    From near the camera also sees cubes where they are not: a face of one, taken for another. So a cube that stands is
+    believed elsewhere only if it is surely seen there, and can be there; and one that the hand holds moves with the
+    hand. A cube that is seen in the air, or in the table, for longer than somebody may hold it there, is not there:
+    what is seen is another one, nearer or farther.
+
+    The belief has ``told``; ``rests``, pairs of an id and the pose in which a cube that stands was believed last;
+    ``doubted``, the ids of those that were seen elsewhere just now, and not believed to be there; ``odd``, of each cube
+    for how many epochs that is so, or it is seen where it cannot be; ``hold``, gripper_from_object of the cube that the
+    hand holds (None: it is not known), and ``firm``, for how many epochs it was seen to move with the hand."""
 
     def initial_belief(self) -> Value:
-        """The belief of `PickSpatial`; nothing is odd yet."""
+        """The belief of `PickSpatial`; nothing is told and nothing odd yet."""
         known = super().initial_belief()
-        return {**known, "odd": tuple((body["id"], 0) for body in known["bodies"])}
+        odd = tuple((body["id"], 0) for body in known["bodies"])
+        return {**known, "told": _NOTHING_TOLD, "rests": (), "doubted": (), "odd": odd, "hold": None, "firm": 0}
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """τ of `PickSpatial`, but that cubes that stand, and the one that is held, are where they were, if that is
+        likelier."""
+        sensed = _hand_believed(super().observe(observations, belief, tick))
+        rests = _rests(belief)
+        others = [{**body, "pose": rests.get(body["id"], body["pose"])} for body in sensed["bodies"]]
+        others = [body for body in others if body["id"] in rests or body["status"] != LOST]
+        looks = belief["told"]["looks"]
+        seen = {body["id"]: body for body in sensed["bodies"] if body["status"] == TRACKED and body["id"] in rests}
+        doubted = tuple(number for number, body in seen.items() if not _is_believed(body, others, looks))
+        rests |= {number: body["pose"] for number, body in seen.items() if number not in doubted}
+        bodies = tuple(
+            _unseen_at(body, rests[body["id"]]) if body["id"] in doubted else body for body in sensed["bodies"]
+        )
+        return {**sensed, "bodies": bodies, "rests": tuple(sorted(rests.items())), "doubted": doubted}
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `PickSpatial`, but that cubes of which it is known that they stand stay where they were, about as well
         known as ever, unless they are seen. While the camera overlooks the table, what is lost is lost all the same."""
-        told: Value = context[0] if context else {"held": None, "stands": (), "looks": True}
+        told: Value = context[0] if context else _NOTHING_TOLD
+        now = odd_bodies(belief["bodies"]) | {*belief["doubted"]} if told["looks"] else set()
+        odd = {number: count + 1 if number in now - {told["held"]} else 0 for number, count in belief["odd"]}
+        denied = {number: _DENIED for number, count in odd.items() if count > ODD_EPOCHS}
+        stands = {*told["stands"]} - {told["held"], *denied}
         kept = {
             body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6), "covariance": _bounded(body)}
             for body in belief["bodies"]
-            if body["status"] != TRACKED and body["id"] in told["stands"] and body["id"] != told["held"]
+            if body["status"] != TRACKED and body["id"] in stands
         }
-        now = _odd(belief["bodies"]) - {told["held"]} if told["looks"] else set()
-        odd = {number: count + 1 if number in now else 0 for number, count in belief["odd"]}
-        bodies = tuple(
-            {**kept.get(body["id"], body), **(_DENIED if odd[body["id"]] > ODD_EPOCHS else {})}
-            for body in belief["bodies"]
-        )
+        bodies = tuple({**kept.get(body["id"], body), **denied.get(body["id"], {})} for body in belief["bodies"])
         after = super().predict(context, actions, {**belief, "bodies": bodies})
         said = {body["id"]: body["status"] for body in belief["bodies"]}
         return {
             **after,
+            "told": told,
+            **(_NO_HOLD if told["held"] is None or told["held"] != belief["told"]["held"] else {}),
             "odd": tuple(odd.items()),
             "sweeping": after["sweeping"] if told["looks"] else (),
             "bodies": tuple(
@@ -70,41 +106,66 @@ class TowerSpatial(PickSpatial):
         }
 
 
-def _odd(bodies: Sequence[Mapping[str, Any]]) -> set[int]:
-    """Cubes that are seen where nothing carries them or they cannot be, or expected beyond all that is looked at."""
-    known = {body["id"]: (body, *_foot_and_top(body)) for body in bodies if body["status"] != LOST}
-    return {number for number in known if _is_odd(number, known)}
+def _rests(belief: Value) -> dict[int, Floats]:
+    """Where each cube stands that is told to: as it was believed last, or, of what has just come to stand, expected."""
+    stands = {*belief["told"]["stands"]} - {belief["told"]["held"]}
+    expected = {body["id"]: body["pose"] for body in belief["bodies"] if body["status"] != LOST}
+    known = expected | dict(belief["rests"])
+    return {number: known[number] for number in sorted(stands) if number in known}
 
 
-def _is_odd(number: int, known: Mapping[int, tuple[Mapping[str, Any], float, float]]) -> bool:
-    """Likewise of one, by those that are not lost, each with how high its foot and its top are, m."""
-    body, foot, _ = known[number]
+def _is_believed(body: Value, others: Sequence[Value], looks: bool) -> bool:
+    """Whether a cube that stands is where it is seen now. In the air it may be in somebody's hand, for which it is seen
+    well enough while the camera overlooks the table."""
+    return is_sure(body) and not is_sunk(body, others) and (looks or not hangs(body, others))
+
+
+def _unseen_at(body: Value, pose: Floats) -> Value:
+    """A body as if it had not been seen, at a pose."""
+    still = {"velocity": np.zeros(6), "drift": np.zeros(6), "seen": None}
+    covariance = diagonal_covariance(STANDS_M, STANDS_RAD)
+    return {**body, "pose": pose, "status": EXPECTED, "covariance": covariance, **still}
+
+
+def _hand_believed(sensed: Value) -> Value:
+    """What was sensed, with the cube that is held where the hand has it, if it is known how it is held and it is not
+    seen to slip but to jump."""
+    held, hold = sensed["told"]["held"], sensed["hold"]
+    if held is None or sensed["hand"] is None:
+        return sensed
+    gripper = sensed["hand"]["gripper"]
+    body = next(body for body in sensed["bodies"] if body["id"] == held)
     if body["status"] != TRACKED:
-        return bool(np.linalg.norm(body["pose"][:2, 3] - _MIDDLE_M) > _REACH_M)
-    if abs(foot) < ODD_M:
-        return False
-    carried = any(
-        abs(foot - top) < ODD_M and _beside_m(body, other) < _extent_m(other)
-        for other, _, top in known.values()
-        if other is not body
+        at = body if hold is None else {**body, "pose": gripper @ hold}
+        return {**sensed, "bodies": _with(sensed["bodies"], at)}
+    firm = sensed["firm"]
+    if hold is not None:
+        moved = gripper @ hold
+        distance_m, angle_rad = pose_error(moved, body["pose"])
+        if firm >= FIRM_EPOCHS:
+            jumps = distance_m > OFF_M or angle_rad > OFF_RAD
+            body = _unseen_at(body, moved) if jumps else {**body, "pose": _slipped(moved, body["pose"])}
+        else:
+            firm = firm + 1 if distance_m < FIRM_M and angle_rad < FIRM_RAD else 0
+    hold = invert(gripper) @ body["pose"]
+    return {**sensed, "bodies": _with(sensed["bodies"], body), "hold": hold, "firm": firm}
+
+
+def _slipped(moved: Floats, seen: Floats) -> Floats:
+    """A pose that was expected, brought towards the one that was seen, as far as something slips in an epoch."""
+    shift, turn = seen[:3, 3] - moved[:3, 3], log_so3(seen[:3, :3] @ moved[:3, :3].T)
+    shift, turn = (
+        part * min(1.0, most / max(float(np.linalg.norm(part)), 1e-12))
+        for part, most in ((shift, SLIPS_M), (turn, SLIPS_RAD))
     )
-    return foot < 0.0 or not carried
+    return make_pose(exp_so3(turn) @ moved[:3, :3], moved[:3, 3] + shift)
 
 
-def _foot_and_top(body: Mapping[str, Any]) -> tuple[float, float]:
-    heights = body["model"]["vertices"] @ body["pose"][2, :3] + body["pose"][2, 3]
-    return float(heights.min()), float(heights.max())
+def _with(bodies: Sequence[Value], changed: Value) -> tuple[Value, ...]:
+    return tuple(changed if body["id"] == changed["id"] else body for body in bodies)
 
 
-def _beside_m(body: Mapping[str, Any], other: Mapping[str, Any]) -> float:
-    return float(np.linalg.norm(body["pose"][:2, 3] - other["pose"][:2, 3]))
-
-
-def _extent_m(body: Mapping[str, Any]) -> float:
-    return float(np.ptp(body["model"]["vertices"], axis=0).max())
-
-
-def _bounded(body: Mapping[str, Any]) -> Floats:
+def _bounded(body: Value) -> Floats:
     """A covariance that is no greater than `STANDS_M` and `STANDS_RAD` make it."""
     vague = float(np.trace(body["covariance"][:3, :3])) > 3.0 * STANDS_M**2
     return diagonal_covariance(STANDS_M, STANDS_RAD) if vague else body["covariance"]

@@ -12,7 +12,7 @@ import numpy as np
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED, edges_seen
 from hierax.nodes.tracking.evidence import Evidence, evidence
-from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, Size, invert, pose_error, project
 from hierax.nodes.tracking.render import DepthRenderer, item_of
 from hierax.runtime import Step, Value
 from hierax.runtime.core import showing
@@ -64,7 +64,7 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, showing.T
         things["/camera/expected"] = showing.Lines2D(lines, EXPECTED, _EXPECTED_PX)
     tracked = [item for item in objects if item["status"] == schema.TRACKED]
     things["/camera/corrected"] = showing.Lines2D(edges_seen(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
-    things.update(_names(objects, intrinsics))
+    things.update(_names(objects, intrinsics, corrected["size"]))
     lens, small = np.asarray(intrinsics) / _COARSER, image[::_COARSER, ::_COARSER]
     size = (corrected["size"][0] // _COARSER, corrected["size"][1] // _COARSER)
     things["/scene/camera"] = showing.Camera(corrected["camera"], lens, size, small, depth_m=_FRUSTUM_M)
@@ -96,11 +96,13 @@ def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) 
     return things
 
 
-def spatial_things(step: Step, table: bool) -> dict[str, showing.Thing]:
+def spatial_things(step: Step, table_m: Floats | None) -> dict[str, showing.Thing]:
     """The bodies where they are expected, and what the camera is expected to see of them; the plane z = 0, where it
-    carries the bodies, as a grid."""
+    carries the bodies, as a grid around its middle (3,), m."""
     belief = step.belief
-    things: dict[str, showing.Thing] = {"/scene/table": showing.Lines3D(_grid(), _GRID, 0.0005)} if table else {}
+    things: dict[str, showing.Thing] = {}
+    if table_m is not None:
+        things["/scene/table"] = showing.Lines3D(_grid() + table_m, _GRID, 0.0005)
     for body in belief["bodies"]:
         colour = _LOST if body["status"] == schema.LOST else showing.colour_of(body["id"])
         model = body["model"]
@@ -132,16 +134,19 @@ def _curve(number: int, value: float) -> showing.Curve:
     return showing.Curve(value, showing.colour_of(number))
 
 
-def _names(objects: Sequence[schema.TrackedObject | schema.PaperObject], intrinsics: Array) -> dict[str, showing.Thing]:
-    """At its origin, what an object is that is not tracked."""
+def _names(
+    objects: Sequence[schema.TrackedObject | schema.PaperObject], intrinsics: Array, size: Size
+) -> dict[str, showing.Thing]:
+    """At its origin, if that is in the picture, what an object is that is not tracked."""
     things: dict[str, showing.Thing] = {}
     for item in objects:
         origin = np.asarray(item["pose"])[:3, 3]
-        if item["status"] != schema.TRACKED and origin[2] > NEAREST_M:
+        if item["status"] == schema.TRACKED or origin[2] <= NEAREST_M:
+            continue
+        at = project(origin[None], intrinsics)
+        if bool(((at >= 0.0) & (at < size)).all()):
             name = f"{item['id']} {item['status']}"
-            things[f"/camera/names/{item['id']}"] = showing.Points2D(
-                project(origin[None], intrinsics), showing.WHITE, 3.0, (name,)
-            )
+            things[f"/camera/names/{item['id']}"] = showing.Points2D(at, showing.WHITE, 3.0, (name,))
     return things
 
 

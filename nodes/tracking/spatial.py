@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from math import sqrt
+from typing import ClassVar
 
 import numpy as np
 
@@ -37,7 +38,12 @@ class SpatialNode(Node):
         max_sigmas: how far physics may move a tracked body from where it goes by itself,
             in standard deviations of the arm's pose.
         friction: of the bodies.
+
+    Attributes:
+        table_middle_m: (3,) where the table is shown.
     """
+
+    table_middle_m: ClassVar[Floats] = np.zeros(3)
 
     def __init__(
         self,
@@ -131,7 +137,7 @@ class SpatialNode(Node):
 
     def show(self, step: Step, before: Value) -> Things:
         """The bodies, and what the camera is expected to see."""
-        return spatial_things(step, self._table)
+        return spatial_things(step, self.table_middle_m if self._table else None)
 
     def _moved(self, body: schema.Body, seen: schema.SeenObject, interval_s: float | None) -> schema.Body:
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""

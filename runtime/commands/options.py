@@ -22,6 +22,7 @@ _WORDS = """
 --check: Check the formal order while it runs. Exit code 1 where it is broken.
 --connect ENDPOINT: The launch on another machine: the endpoint that `hierax launch --host` prints.
 --count: End after so many messages.
+--decisions: List in which epochs a node that is done again would have chosen another policy, or other actions.
 --deployment FILE: The launch's deployment file, where it has another path on this machine.
 --dry: Also call every operator and edge function once, on the initial beliefs; no actuator is moved, no probe is told,
     and nothing is written.
@@ -184,6 +185,7 @@ class RunOptions:
     speed: Annotated[float, option("--speed", min=0.0)] = 0.0
     classes: Annotated[list[str] | None, option("--with")] = None
     verify: Annotated[bool, option("--verify")] = False
+    decisions: Annotated[bool, option("--decisions")] = False
     tolerance: Annotated[float, option("--tolerance", min=0.0)] = 0.0
 
 

@@ -4,30 +4,37 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
 from hierax.runtime.commands.options import Format, RecordingFile, RunOptions, WorldMode, offers
 from hierax.runtime.commands.recordings import comparison_json, print_comparison, recording_of
-from hierax.runtime.commands.show import print_json, print_report
+from hierax.runtime.commands.show import RIGHT, brief, print_json, print_report, print_table
+
+LISTED = 60  # how many stretches of epochs are listed as text
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Report
+    from hierax.runtime.recording.decisions import Decision, Decisions
     from hierax.runtime.recording.diff import Comparison
     from hierax.runtime.recording.replay import Replay
     from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
 
 
 @offers(
-    "node", "world", "speed", "classes", "verify", "tolerance", "first", "last", "overrides", "trust", "output_format"
+    *("node", "world", "speed", "classes", "verify", "decisions", "tolerance"),
+    *("first", "last", "overrides", "trust", "output_format"),
 )
 def replay(file: RecordingFile, options: RunOptions) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
     from hierax.runtime.loading.allowance import module_of
     from hierax.runtime.loading.loader import extend_import_path
+    from hierax.runtime.recording.decisions import Decisions
     from hierax.runtime.recording.diff import compare
     from hierax.runtime.recording.replay import Replay, allowance_of, check_names, other_settings, recorded_deployment
 
+    if options.verify and options.decisions:
+        raise CommandError("give --verify or --decisions, not both: the first ends where something differs")
     recording = recording_of(file)
     info = recording.info
     allowance = allowance_of(recording, options.trust)
@@ -48,9 +55,12 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     )
     epochs = _Paced(replaying, options.speed)
     comparison: Comparison | None = None
+    decisions = Decisions(options.tolerance) if options.decisions else None
     with redirect_stdout(sys.stderr):  # what a node prints must not mix with the report
         if options.verify:
             comparison = compare(recording.epochs(options.first, options.last), epochs, options.tolerance)
+        elif decisions is not None:
+            decisions.gather(epochs)
         else:
             for _ in epochs:
                 pass
@@ -60,13 +70,64 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
         raise CommandError(f"{file}: there is no epoch to replay{which}")
     report = epochs.report()
     if options.output_format is Format.json:
-        print_json({**report.plain(), "verify": None if comparison is None else comparison_json(comparison)})
+        told = {} if decisions is None else {"decisions": decisions_json(decisions)}
+        print_json({**report.plain(), "verify": None if comparison is None else comparison_json(comparison), **told})
     else:
         print_report(report)
         if comparison is not None:
             print()
             print_comparison(comparison, "recorded", "replayed")
+        if decisions is not None:
+            print()
+            print_decisions(decisions)
     return OK if comparison is None or comparison.alike else FAILED
+
+
+def decisions_json(decisions: "Decisions") -> "dict[str, Any]":
+    """Of each node how many epochs were compared, in how many it would have done something else, and what."""
+    from hierax.runtime.execution.report import plain
+
+    def told(decision: "Decision") -> dict[str, Any]:
+        return {"policy": decision.policy, "actions": plain(decision.actions)}
+
+    found: dict[str, dict[str, Any]] = {
+        node: {"epochs": epochs, "otherwise": decisions.otherwise(node), "stretches": []}
+        for node, epochs in decisions.compared.items()
+    }
+    for each in decisions.stretches:
+        sides = {"recorded": told(each.recorded), "replayed": told(each.replayed)}
+        found[each.node]["stretches"].append({"from": each.first, "to": each.last, **sides})
+    return found
+
+
+def print_decisions(decisions: "Decisions") -> None:
+    """The same as text: a line for each node, and a table of the epochs."""
+    for node, epochs in decisions.compared.items():
+        count = decisions.otherwise(node)
+        print(f"{node}: the same in {epochs - count} of {epochs} epochs, something else in {count}")
+    if not decisions.stretches:
+        return
+    print()
+    rows = [
+        (
+            each.node,
+            str(each.first),
+            str(each.last),
+            _said(each.recorded, each.replayed),
+            _said(each.replayed, each.recorded),
+        )
+        for each in decisions.stretches[:LISTED]
+    ]
+    print_table({"node": {}, "from": RIGHT, "to": RIGHT, "recorded": {}, "replayed": {}}, rows)
+    left = len(decisions.stretches) - len(rows)
+    if left:
+        print(f"… {left} more; --format json has all")
+
+
+def _said(decision: "Decision", other: "Decision") -> str:
+    """Actions in a line, and the policy where that is another one."""
+    actions = ", ".join(map(brief, decision.actions)) or "nothing"
+    return actions if decision.policy == other.policy else f"{decision.policy}: {actions}"
 
 
 class _Paced:

@@ -30,13 +30,13 @@ class RerunCanvas(Canvas):
         for each in things:
             self._style(each)
             for below, archetype in self._parts(each):
-                self._stream.log(f"{each.path}{below}", archetype)
+                self._stream.log(_entity(f"{each.path}{below}"), archetype)
 
     def clear(self, epoch: int, time_s: float, paths: Iterable[str]) -> None:
         self._set_time(epoch, time_s)
         for path in paths:
             self._meshes.pop(path, None)
-            self._stream.log(path, rr.Clear(recursive=False))
+            self._stream.log(_entity(path), rr.Clear(recursive=False))
 
     def arrange(self, columns: tuple[Column, ...]) -> None:
         self._stream.send_blueprint(blueprint(columns))
@@ -52,7 +52,7 @@ class RerunCanvas(Canvas):
         self._styled.add(each.path)
         colours = [each.thing.colour] if isinstance(each.thing, showing.Curve) and each.thing.colour else None
         self._stream.log(
-            each.path,
+            _entity(each.path),
             rr.SeriesLines(names=each.label, colors=colours, widths=1.5),
             # a run of one epoch has points, and no lines
             rr.SeriesPoints(names=each.label, colors=colours, markers="circle", marker_sizes=2.0),
@@ -70,6 +70,11 @@ class RerunCanvas(Canvas):
             if shape is not None and shape.colour == thing.colour and same:
                 return [("", _transform(thing.pose))]
         return archetypes(thing)
+
+
+def _entity(path: str) -> str:
+    """A path as Rerun writes it, which has spaces and the like escaped."""
+    return rr.new_entity_path(path.split("/")).removeprefix("/")
 
 
 def archetypes(thing: showing.Thing) -> Parts:
@@ -175,7 +180,7 @@ _VIEWS = {
 
 
 def _cell(views: Sequence[View]) -> Any:
-    cells = [_VIEWS[view.kind](origin=f"/{view.name}", name=view.name.replace("/", " · ")) for view in views]
+    cells = [_VIEWS[view.kind](origin=f"/{_entity(view.name)}", name=view.name.replace("/", " · ")) for view in views]
     return cells[0] if len(cells) == 1 else rrb.Tabs(*cells)
 
 

@@ -9,19 +9,8 @@ import pytest
 
 from hierax.nodes.picking.panda import HOME_GRIPPER
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
-from hierax.nodes.tower.skills import (
-    CARRY,
-    LOWER,
-    OPEN,
-    OVER,
-    REST,
-    VIEW_S,
-    VIEWS,
-    SkillsNode,
-    gripper_commands,
-    held_and_standing,
-    scene_and_skill,
-)
+from hierax.nodes.tower.moving import CARRY, LOWER, MOST_TRIED, OPEN, OVER, VIEW_S, VIEWS
+from hierax.nodes.tower.skills import REST, SkillsNode, gripper_commands, held_and_standing, scene_and_skill
 from hierax.nodes.tracking.math.geometry import invert, make_pose
 from hierax.runtime import Tick
 
@@ -41,7 +30,7 @@ class Obedient:
             number: make_pose(np.eye(3), np.array([x, y, SIDE_M / 2]))
             for number, (x, y) in enumerate([(0.5, 0.0), (0.45, 0.12), (0.42, -0.13)], start=1)
         }
-        self.slips = False
+        self.slips, self.stuck = False, False
         self.statuses: dict[int, str] = {}
         self.phases: list[str] = []
         self._grips: tuple[int, Any] | None = None
@@ -72,7 +61,7 @@ class Obedient:
         raise AssertionError(f"{phase} never came: {self.phases}")
 
     def _obey(self, wish: Any) -> None:
-        self.gripper = wish["gripper"]
+        self.gripper = self.gripper if self.stuck else wish["gripper"]
         near = [number for number, pose in self.poses.items() if np.linalg.norm((pose - self.gripper)[:3, 3]) < 0.02]
         if wish["width"] > SIDE_M or self.slips:
             self._grips = None
@@ -154,7 +143,8 @@ def test_which_cube_is_held_is_told_up_and_down() -> None:
     assert held_and_standing(world.belief) == ({"held": None, "stands": (), "looks": True},)
     for phase, held in ((CLOSE, None), (LIFT, 2), (CARRY, 2), (LOWER, 2), (OPEN, None)):
         world.until(phase, (2, 1))
-        assert held_and_standing(world.belief) == ({"held": held, "stands": (), "looks": False},)
+        put = (2,) if phase == OPEN else ()
+        assert held_and_standing(world.belief) == ({"held": held, "stands": put, "looks": False},)
         assert scene_and_skill(world.belief)[-1]["skill"] == {"phase": phase, "goal": (2, 1), "holding": held}
 
 
@@ -211,3 +201,89 @@ def test_without_a_task_the_arm_watches() -> None:
 def test_what_is_no_task_s_policy_is_none(name: str) -> None:
     with pytest.raises(KeyError):
         SkillsNode().policies()[name]
+
+
+def hemmed_in(*near: tuple[float, float]) -> Obedient:
+    """The second cube stands in the middle of others, so near that no finger gets in between."""
+    world = Obedient()
+    places = ((0.40, 0.15), (0.5, 0.0), *((0.5 + x * SIDE_M * 1.02, y * SIDE_M * 1.02) for x, y in near))
+    world.poses = {
+        number: make_pose(np.eye(3), np.array([*place, SIDE_M / 2])) for number, place in enumerate(places, start=1)
+    }
+    return world
+
+
+SIDES = [(1.0, 0.0), (0.0, 1.0)], [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
+
+
+@pytest.mark.parametrize("near", SIDES)
+def test_what_is_in_the_way_is_moved_aside_first(near: list[tuple[float, float]]) -> None:
+    world = hemmed_in(*near)
+    before = {number: pose.copy() for number, pose in world.poses.items()}
+    while world.belief["target"] != 2:
+        world.until(OVER, (2, 1))
+        aside = world.belief["target"]
+        if aside != 2:
+            assert world.belief["goal"] == (aside, 0)
+            assert aside != 1  # what it comes onto stays
+            world.until(OPEN, (2, 1))
+            assert world.belief["target"] == aside
+            assert np.linalg.norm(world.poses[aside][:2, 3] - before[aside][:2, 3]) > SIDE_M
+            world.until(WATCH, (2, 1))
+    assert 1 <= world.belief["moves"] - 1 < len(near)
+    world.until(OPEN, (2, 1))
+    np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[1][:2, 3], atol=0.0015)
+
+
+def test_what_is_in_the_way_stays_when_nothing_is_asked_for_any_more() -> None:
+    world = hemmed_in(*SIDES[0])
+    world.until(OVER, (2, 1))
+    world.epoch(None)
+    world.epoch(None)
+    assert (world.belief["phase"], world.belief["goal"]) == (WATCH, None)
+
+
+def test_a_way_to_take_a_cube_to_which_the_hand_does_not_come_is_not_tried_again_at_once() -> None:
+    world = Obedient()
+    world.until(APPROACH, (2, 1))
+    first = world.belief["box_from_gripper"]
+    world.stuck = True  # as a joint at its end holds it up
+    world.until(RETREAT, (2, 1))
+    world.stuck = False
+    world.until(OVER, (2, 1))
+    second = world.belief["box_from_gripper"]
+    assert np.abs(second - first).max() > 0.1
+    world.until(LIFT, (2, 1))
+    assert world.belief["tried"] == ()
+
+
+def test_where_all_ways_to_take_a_cube_have_failed_they_are_tried_again() -> None:
+    world = Obedient()
+    tried: list[Any] = []
+    for _ in range(MOST_TRIED + 2):
+        world.until(OVER, (2, 1))
+        tried.append(world.belief["box_from_gripper"])
+        world.stuck = True
+        world.until(RETREAT, (2, 1))
+        world.stuck = False
+    assert not np.allclose(tried[0], tried[1])
+    assert len(world.belief["tried"]) == MOST_TRIED
+    world.until(LIFT, (2, 1))
+
+
+def test_what_the_hand_has_put_down_and_is_lost_stands_nowhere() -> None:
+    world = Obedient()
+    world.until(OPEN, (2, 1))
+    world.until(WATCH, (2, 1))
+    assert held_and_standing(world.belief)[0]["stands"] == (2,)
+    world.statuses[2] = "lost"
+    world.epoch((3, 2))
+    assert held_and_standing(world.belief)[0]["stands"] == ()
+
+
+def test_a_place_on_the_table_to_which_the_hand_does_not_come_will_do() -> None:
+    world = Obedient()
+    world.until(CARRY, (2, 0))
+    world.epoch((2, 0))
+    world.stuck = True
+    world.until(LOWER, (2, 0))

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from hierax.nodes.picking.layout import planned
-from hierax.nodes.tower.spatial import ODD_EPOCHS, STANDS_M, spatial
+from hierax.nodes.tower.spatial import FIRM_EPOCHS, ODD_EPOCHS, SLIPS_M, STANDS_M, spatial
+from hierax.nodes.tracking.math.geometry import make_pose
 from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
+from hierax.runtime import Tick
 
 CUBES = 3
 LOOKS = {"held": None, "stands": (), "looks": True}
@@ -73,3 +75,128 @@ def test_what_stands_and_is_not_seen_stays_as_well_known_as_ever() -> None:
     np.testing.assert_array_equal(after["pose"], vague["bodies"][1]["pose"])
     looking = next(body for body in node.predict(({**told, "looks": True},), (), vague)["bodies"] if body["id"] == 2)
     assert looking["status"] == LOST
+
+
+# --- what stands, or is held, and is seen elsewhere
+
+SURELY, VAGUELY = np.diag([1e-7] * 3 + [1e-5] * 3), np.diag([3e-5] * 3 + [1e-3] * 3)
+STAND = {"held": None, "stands": (1, 2, 3), "looks": False}
+AFAR = {**STAND, "looks": True}
+HOLDS = {"held": 2, "stands": (1, 3), "looks": False}
+
+
+class Seen:
+    """A spatial node that is told something, and what its arm sees, epoch by epoch."""
+
+    def __init__(self, told: Any) -> None:
+        self.node, self.told = spatial(0, CUBES), told
+        self.belief = self.node.initial_belief()
+        self.places = {place.id: place.pose for place in planned(0, CUBES)}
+        self.covariances = dict.fromkeys(self.places, SURELY)
+        self.statuses = dict.fromkeys(self.places, TRACKED)
+        self.gripper = make_pose(np.eye(3), np.array([0.5, 0.0, 0.3]))
+        self.time_s = 0.0
+
+    def epochs(self, count: int) -> Any:
+        """What is believed of the second cube at the end, before the prediction."""
+        for _ in range(count):
+            self.time_s += 0.05
+            sensed = self.node.observe(
+                (*map(self._seen, self.places), self._hand()), self.belief, Tick(time_s=self.time_s)
+            )
+            self.belief = self.node.predict((self.told,), (), sensed)
+        return next(body for body in sensed["bodies"] if body["id"] == 2)
+
+    def move(self, *by_m: float) -> None:
+        self.places[2] = self.places[2].copy()
+        self.places[2][:3, 3] += by_m
+
+    def _hand(self) -> Any:
+        return {"hand": {"gripper": self.gripper, "width": 0.05}}
+
+    def _seen(self, number: int) -> Any:
+        rest = {"obj_id": number, "score": 1.0, "motion_scale": 0.0, "sought": False, "guesses": np.zeros((0, 4, 4))}
+        pose, covariance = self.places[number], self.covariances[number]
+        return {"id": number, "pose": pose, "covariance": covariance, "status": self.statuses[number], **rest}
+
+
+@pytest.mark.parametrize("told", [STAND, AFAR])
+def test_what_stands_is_elsewhere_where_it_is_surely_seen_and_can_be(told: Any) -> None:
+    scene = Seen(told)
+    scene.epochs(3)
+    scene.move(0.0, -0.05, 0.0)
+    body = scene.epochs(1)
+    assert body["status"] == TRACKED
+    np.testing.assert_allclose(body["pose"][:3, 3], scene.places[2][:3, 3], atol=1e-9)
+
+
+@pytest.mark.parametrize("told", [STAND, AFAR])
+@pytest.mark.parametrize("why", ["vague", "in the table", "in another one"])
+def test_what_stands_stays_where_it_was_where_it_is_seen_vaguely_or_cannot_be(told: Any, why: str) -> None:
+    scene = Seen(told)
+    before = scene.epochs(3)["pose"].copy()
+    if why == "vague":
+        scene.move(0.0, -0.05, 0.0)
+        scene.covariances[2] = VAGUELY
+    elif why == "in the table":
+        scene.move(0.0, 0.0, -0.03)
+    else:
+        scene.places[2] = scene.places[1]
+    body = scene.epochs(5)
+    assert body["status"] == EXPECTED
+    np.testing.assert_allclose(body["pose"], before, atol=1e-9)
+    assert scene.epochs(ODD_EPOCHS)["status"] == EXPECTED
+    lost = {body["id"]: body["status"] for body in scene.belief["bodies"]}
+    assert lost[2] == (LOST if told["looks"] else EXPECTED)  # and is looked for from afar
+
+
+def test_in_the_air_it_may_be_in_a_hand_if_that_is_seen_from_afar() -> None:
+    for told, status in ((AFAR, TRACKED), (STAND, EXPECTED)):
+        scene = Seen(told)
+        scene.epochs(3)
+        scene.move(0.0, 0.0, 0.1)
+        assert scene.epochs(1)["status"] == status
+
+
+def test_what_the_hand_has_put_down_and_nobody_sees_stays_there() -> None:
+    scene = Seen(HOLDS)
+    scene.move(0.0, 0.0, 0.1)
+    scene.epochs(3)
+    scene.told, scene.statuses[2] = {**STAND, "stands": (1, 2, 3)}, EXPECTED
+    scene.epochs(1)
+    body = scene.epochs(20)
+    np.testing.assert_allclose(body["pose"][:3, 3], scene.places[2][:3, 3], atol=1e-9)
+
+
+def held_for(epochs: int) -> Seen:
+    """The second cube, after it was seen so long to move with the hand that holds it."""
+    scene = Seen(HOLDS)
+    scene.epochs(2)
+    for _ in range(epochs):
+        scene.gripper = scene.gripper.copy()
+        scene.gripper[2, 3] += 0.004
+        scene.move(0.0, 0.0, 0.004)
+        scene.epochs(1)
+    return scene
+
+
+def test_what_is_held_moves_with_the_hand_wherever_it_seems_to_be() -> None:
+    scene = held_for(FIRM_EPOCHS + 2)
+    true = scene.places[2].copy()
+    scene.move(0.003, 0.0, -0.010)
+    body = scene.epochs(20)
+    assert body["status"] == EXPECTED
+    np.testing.assert_allclose(body["pose"], true, atol=1e-6)
+    scene.places[2] = true
+    scene.move(0.003, 0.0, 0.0)  # so little may be a slip
+    body = scene.epochs(2)
+    assert body["status"] == TRACKED
+    assert body["pose"][0, 3] - true[0, 3] == pytest.approx(2 * SLIPS_M, abs=1e-6)
+    scene.epochs(20)
+    np.testing.assert_allclose(scene.epochs(1)["pose"], scene.places[2], atol=1e-6)
+
+
+def test_before_it_is_known_how_a_cube_is_held_it_is_where_it_is_seen() -> None:
+    scene = held_for(FIRM_EPOCHS - 3)
+    scene.move(0.003, 0.0, -0.010)
+    np.testing.assert_allclose(scene.epochs(1)["pose"], scene.places[2], atol=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,26 @@ def test_a_replay_with_other_parameters_says_where_it_departs(folder: Path, caps
     assert main(["replay", "a.mcap", "--set", "gain=1.0"]) == 0
     assert main(["replay", "a.mcap", "--with", "high=support.toy_nodes:Nothing"]) == 1
     assert "there is no 'Nothing' in module 'support.toy_nodes'" in capsys.readouterr().err
+
+
+def test_a_replay_lists_what_would_have_been_decided_otherwise(
+    folder: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said(capsys)
+    assert main(["replay", "a.mcap", "--decisions"]) == 0
+    assert "low: the same in 12 of 12 epochs, something else in 0\n" in said(capsys)
+    monkeypatch.setenv(FLAW, "high/policy/7")
+    assert main(["replay", "a.mcap", "--node", "high", "--decisions"]) == 0
+    out = said(capsys)
+    assert "high: the same in 11 of 12 epochs, something else in 1\n" in out
+    assert re.search(r"^high +7 +7 +\{by: 0\} +\{by: 7\}", out, re.MULTILINE), out
+    assert main(["replay", "a.mcap", "--node", "high", "--decisions", "--format", "json"]) == 0
+    high = json.loads(said(capsys))["decisions"]["high"]
+    assert (high["epochs"], high["otherwise"]) == (12, 1)
+    assert [(each["from"], each["to"]) for each in high["stretches"]] == [(7, 7)]
+    assert high["stretches"][0]["replayed"]["actions"] == [{"by": 7.0}]
+    assert main(["replay", "a.mcap", "--decisions", "--verify"]) == 1
+    assert "--verify or --decisions, not both" in capsys.readouterr().err
 
 
 def test_a_replay_keeps_the_pace(folder: Path, capsys: Capture) -> None:

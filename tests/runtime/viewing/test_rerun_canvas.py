@@ -125,6 +125,13 @@ def test_a_curves_look_is_said_once_and_a_mesh_when_it_changes() -> None:
     ]
 
 
+def test_a_path_with_spaces_is_written_as_rerun_reads_it() -> None:
+    stream, drawing = canvas()
+    drawing.draw(1, 0.0, placed("a", {"plot/on 3 1": 1.0}, "here"))
+    drawing.clear(2, 0.0, ["a/plot/on 3 1"])
+    assert {path for _, path, _ in stream.logged} == {"a/plot/on\\ 3\\ 1"}
+
+
 def test_a_camera_has_its_image_below_it() -> None:
     parts = [(below, type(part).__name__) for below, part in archetypes(THINGS["/scene/camera"])]
     assert parts == [("", "Transform3D"), ("", "Pinhole"), ("/image", "EncodedImage")]

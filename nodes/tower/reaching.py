@@ -1,0 +1,50 @@
+"""Which cube is taken first, so that another one can be moved: that one, or one that is in the fingers' way."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.nodes.picking.phases import is_sure
+from hierax.nodes.picking.planning import Grasp, choose
+from hierax.nodes.tower.rules import TABLE
+from hierax.nodes.tracking.math.geometry import Floats
+
+_NEAR_M = 0.12  # so near, from middle to middle, a cube may be in the way of the hand that takes another one
+
+Goal = tuple[int, int]
+"""A cube, and what it is to be moved onto."""
+
+
+class Reach(NamedTuple):
+    """What is taken, and what for."""
+
+    grasp: Grasp
+    goal: Goal  # the one that was asked for, or that a cube which is in its way comes onto the table
+
+
+def reach(bodies: Sequence[Mapping[str, Any]], goal: Goal, tried: Sequence[tuple[int, Floats]] = ()) -> Reach | None:
+    """How a goal is begun; None: its cube is not seen well enough, or not to be taken, nor any one that is in the way.
+
+    Args: bodies: as `hierax.nodes.picking.tracker.scene_known` tells them; tried: ids of cubes, each with a
+        box_from_gripper that the hand did not come to, which is not chosen again before all others were."""
+    sure = {body["id"]: body for body in bodies if is_sure(body)}
+    number, onto = goal
+    if number not in sure:
+        return None
+    failed = [box_from_gripper for other, box_from_gripper in tried if other == number]
+    grasp = choose(bodies, [number], failed) or (choose(bodies, [number]) if failed else None)
+    if grasp is not None:
+        return Reach(grasp, goal)
+    middle = sure[number]["pose"][:3, 3]
+    away_m = {other: float(np.linalg.norm(body["pose"][:3, 3] - middle)) for other, body in sure.items()}
+    near = [other for other in sure if other != number and away_m[other] < _NEAR_M]
+    # What it comes onto stays if it can; one that makes room by itself is better than one of several.
+    near.sort(key=lambda other: (not _is_free(bodies, number, other), other == onto, away_m[other]))
+    grasps = ((other, choose(bodies, [other])) for other in near)
+    return next((Reach(grasp, (other, TABLE)) for other, grasp in grasps if grasp is not None), None)
+
+
+def _is_free(bodies: Sequence[Mapping[str, Any]], number: int, without: int) -> bool:
+    """Whether a cube is to be taken where another one is gone."""
+    return choose([body for body in bodies if body["id"] != without], [number]) is not None
