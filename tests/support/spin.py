@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
 from support.sweep import SWEEP
 
 LIMIT_S = 300
