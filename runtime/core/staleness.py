@@ -8,7 +8,6 @@ class Staleness:
     """How old inputs from above may be."""
 
     epochs: int | None = 0  # n; 0 is the barrier; None: free running
-    exact: bool = False  # exactly so old, which makes runs repeatable
 
     @property
     def barrier(self) -> bool:

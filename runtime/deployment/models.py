@@ -316,7 +316,6 @@ class DeploymentModel(_Model):
         "of a world with a rate, what follows an epoch that took too long: those overdue begin at once, or are skipped",
         "catch_up",
     )
-    exact: bool = _field("with a staleness: they are exactly so old, and the run can be repeated to the bit", False)
     start_timeout_s: Positive = _field("how long launch waits for all nodes to come up", 30.0)
     low_latency: bool = _field(
         "quicker links between processes, for messages of at most 32 KiB; a longer one ends the run", False
@@ -380,6 +379,12 @@ _MODELS: dict[tuple[str | int, int], type[_Model]] = {
 """What stands at a path, by its first key and how many there are."""
 
 
+_GONE: dict[Keys, str] = {
+    ("exact",): "in place of an exact staleness of n write `delay: n` on the edges, which survives crashes"
+}
+"""Fields that once were, and what is written now."""
+
+
 def first_error(
     error: ValidationError, document: Document, root: dict[str, Any], top: TopModel = DeploymentModel
 ) -> DeploymentError:
@@ -411,6 +416,8 @@ def _what(keys: Keys, details: Any, top: TopModel) -> str:
     context = details.get("ctx", {})
     if kind == "missing":
         return f"missing; expected {field_meaning(keys, top)}"
+    if kind == "extra_forbidden" and keys in _GONE:
+        return f"there is no such field any more: {_GONE[keys]}"
     if kind == "extra_forbidden":
         return f"unknown field{did_you_mean(str(keys[-1]), field_names(keys[:-1], top))}"
     if kind == "value_error":

@@ -175,9 +175,7 @@ def _view(model: models.ViewModel) -> ViewSpec:
 
 
 def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
-    staleness = Staleness(model.staleness, model.exact)
-    if model.exact and (staleness.barrier or staleness.free):
-        raise document.error(("exact",), "means something only with a staleness of 1 or more")
+    staleness = Staleness(model.staleness)
     if "late" in model.model_fields_set and not (staleness.barrier and model.nodes[model.world].rate_hz):
         what = f"means something only where the world has a rate, with the barrier: nodes.{model.world}.rate_hz"
         raise document.error(("late",), what)

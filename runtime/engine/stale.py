@@ -1,7 +1,7 @@
 """The engine without the barrier: inputs from above may be of an earlier epoch.
 
 With a staleness of n, observations are always of the node's own epoch k, and inputs from above of epoch k − n or later:
-the newest in hand or, ``exact``, those of k − n whatever has come since. Free running is without bound: a node takes
+the newest in hand. Free running is without bound: a node takes
 the newest of everything, and leaves out epochs that were overtaken.
 
 A *drained* epoch is done with a staleness of 0: at its end every node is done with it. The world says so with its
@@ -174,11 +174,10 @@ class StaleEngine(Engine):
     def _choose(self, slot: Slot) -> Message | None:
         """The input from above that is used in this epoch; None: it has not come."""
         kept = self._above.get(slot, {})
-        oldest = self.epoch if self.drains else self._oldest()
-        if self._staleness.exact or self.drains:
-            return kept.get(oldest)
+        if self.drains:
+            return kept.get(self.epoch)
         newest = max(kept, default=-1)
-        return kept[newest] if newest >= oldest else None
+        return kept[newest] if newest >= self._oldest() else None
 
     def _enter(self, phase: Phase) -> None:
         super()._enter(phase)

@@ -235,7 +235,6 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         seed=_field(order, "seed", int),
         epochs=_field(order, "epochs", int, type(None)),
         staleness=_field(order, "staleness", int, type(None)),
-        exact=_field(order, "exact", bool),
         rate_hz=_field(order, "rate_hz", float, int, type(None)),
         budget_ms=_field(order, "budget_ms", float, int, type(None)),
         hub=here.endpoint,

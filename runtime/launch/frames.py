@@ -80,7 +80,6 @@ class NodeOrder:
     seed: int  # of the run
     epochs: int | None  # how many; None: until the world has finished
     staleness: int | None  # how old inputs from above may be, in epochs; None: free running
-    exact: bool  # whether they are exactly so old
     rate_hz: float | None = None  # in free running, how often at most the node takes part in an epoch; None: as it can
     late: Late = "catch_up"  # of the world's, which has a rate with the barrier, too
     budget_ms: float | None = None  # how long the node may be at work in an epoch; None: that is not looked at

@@ -257,7 +257,7 @@ class NodeWorker:
         self._inspection = InspectionServer(*seen, endpoint, self.busy, self._timing)
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
-        staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
+        staleness, alone = Staleness(order.staleness), frozenset(order.alone)
         seat = Seat(order.name, order.process, loader.wiring, port, observers, staleness, alone)
         try:
             if order.owner is not None:

@@ -101,7 +101,6 @@ class Orders:
             seed=self.options.seed,
             epochs=self.options.epochs,
             staleness=deployment.staleness.epochs,
-            exact=deployment.staleness.exact,
             rate_hz=terms.rate_hz,
             late=deployment.late,
             budget_ms=terms.budget_ms or self._period_ms(),

@@ -107,7 +107,6 @@ class Checker:
         self._held: list[Header] = []
         self._early: deque[NodeStep] = deque()
         self._committed: tuple[int, int, bytes] = (0, 0, b"")
-        self._since: dict[int, int] = {}
 
     def roster(self, roster: Roster) -> None:
         if roster.version in self._rosters:
@@ -131,7 +130,6 @@ class Checker:
         known = self._messages.setdefault(when, {})
         content = crc32(memoryview(data)[payload_at:])  # what is in the extensions may change
         before = known.get(header.line)
-        self._since[header.roster] = min(header.epoch, self._since.get(header.roster, header.epoch))
         if before is None:
             known[header.line] = (content, header.digest)
             self._check_edge(header)
@@ -219,14 +217,11 @@ class Checker:
         """The epochs that the inputs were of, which are found fault with where they may not be."""
         used = step.used_of
         bound = self._staleness.epochs
-        since = step.epoch - self._since.get(step.roster, step.epoch)  # no inputs are of before their roster
         for (peer, kind), (epoch, _) in used.items():
             age = step.epoch - epoch
             oldest = 0 if bound == 0 or (kind == OBSERVATIONS and bound is not None) else bound
             if age < 0 or (oldest is not None and age > oldest):
                 self._break("EPOCH", when, f"{step.name} used {kind} of {peer} of epoch {epoch}")
-            elif self._staleness.exact and kind != OBSERVATIONS and age not in (0, min(bound or 0, since)):
-                self._break("EPOCH", when, f"{step.name} used {kind} of {peer} of epoch {epoch}, not exactly as old")
         return used
 
     def _commit(self, step: NodeStep, roster: Roster) -> None:

@@ -20,8 +20,8 @@ from hierax.runtime.host.run_folder import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import shown
 from hierax.schemas.keys import is_name
 
-FORMAT = 2
-READ = (1, FORMAT)  # what this version reads; the first format has neither modules nor a seal
+FORMAT = 3
+READ = (1, 2, FORMAT)  # what this version reads; the first has neither modules nor a seal, both say more of a staleness
 _PACKAGES = ("hierax", "numpy", "opencv-python-headless", "eclipse-zenoh", "msgpack", "mcap", "pybullet")
 
 
@@ -38,7 +38,6 @@ class RunInfo:
     mode: str  # ``launch`` or ``run``
     seed: int
     staleness: int | None  # as the deployment has it
-    exact: bool  # as the deployment has it
     deployment: str  # the path of its file
     deployment_text: str  # what that said, but for what is secret
     settings: Sequence[str]  # with which it was read; of secret ones the paths alone
@@ -60,7 +59,7 @@ class RunInfo:
         with errors_named(deployment.path, "read", RecordingError):
             text = public_text(deployment.path.read_text(encoding="utf-8-sig"), deployment.zenoh)
         info = RunInfo(
-            *(deployment.name, run, mode, seed, deployment.staleness.epochs, deployment.staleness.exact),
+            *(deployment.name, run, mode, seed, deployment.staleness.epochs),
             *(str(deployment.path.resolve()), text, public_settings(settings, deployment.zenoh)),
             *(deployment.import_paths, from_start),
             modules=deployment.modules,
@@ -80,7 +79,7 @@ class RunInfo:
     @property
     def how_stale(self) -> Staleness:
         """How old inputs from above may be."""
-        return Staleness(self.staleness, self.exact)
+        return Staleness(self.staleness)
 
     def plain(self) -> dict[str, Any]:
         return asdict(self)
@@ -89,9 +88,8 @@ class RunInfo:
     def read(plain: Mapping[str, Any]) -> "RunInfo":
         """Read it from a value, but for later fields. Raises `RecordingError` if its format or a field is wrong."""
         if plain.get("format") not in READ:
-            read = " and ".join(map(str, READ))
-            raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads formats {read}")
-        wanted = [each.name for each in fields(RunInfo) if plain["format"] == FORMAT or each.name not in _NEW]
+            raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads formats 1 to {FORMAT}")
+        wanted = [each.name for each in fields(RunInfo) if plain["format"] > 1 or each.name not in _NEW]
         lacking = [name for name in wanted if name not in plain]
         if lacking:
             raise RecordingError(f"it says too little of its run: {', '.join(lacking)}")

@@ -1,4 +1,4 @@
-"""The model of the protocol with rates holds, and each of its mistakes is found: docs/model.md."""
+"""The model of epochs with rates holds, and each of its mistakes is found; docs/model.md says what is modelled."""
 
 from __future__ import annotations
 

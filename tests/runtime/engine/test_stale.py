@@ -16,11 +16,10 @@ from support.engines import EPOCH, ROSTER, Solo, message, other, wiring
 from support.hierarchies import random_hierarchy
 from support.recording import Recorder, sent, steps, verdicts
 
-from hierax.runtime.core.binding import OperatorSetting, epoch_time_s
-from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state, epoch_digest, node_digest
-from hierax.runtime.core.elements import Elements
+from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.core.digest import NO_DIGEST, DigestChain, formal_digest
 from hierax.runtime.core.hierarchy import Hierarchy
-from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.stale import DRAIN, StaleEngine
@@ -35,53 +34,13 @@ ROSTER_HASH = bytes(range(32))
 BREAKS = 30
 
 
-def formal_digests(hierarchy: Hierarchy, epochs: int, staleness: int) -> list[bytes]:
-    """The digests of epochs in which inputs from above are `staleness` epochs old, in the formal order.
-
-    The first epoch and the last are drained: all inputs are of the epoch itself.
-    """
-    initial = {
-        name: ActiveNode(node.initial_belief(0, 0.0), node.node.initial_policy)
-        for name, node in hierarchy.bound.items()
-    }
-    states = [initial]
-    times = [0.0]
-    digests: list[Mapping[str, bytes]] = [{}]
-    chained = [NO_DIGEST]
-    for epoch in range(1, epochs + 1):
-        before = states[-1]
-        world = hierarchy.world
-        times.append(epoch_time_s(world, hierarchy.world_node, before[world].belief, epoch))
-        sensed = {}
-        for name in hierarchy.order:
-            node = hierarchy.bound[name]
-            observations: Elements = ()
-            for lower in node.below:
-                call = hierarchy.bound_edges[lower, name].sense
-                observations += call.elements(epoch, times[epoch], sensed[lower]) if call else ()
-            belief = before[name].belief
-            sensed[name] = belief if name == world else node.observe(epoch, times[epoch], observations, belief)
-        used = epoch if epoch == epochs else max(epoch - staleness, 1)
-        states.append({})
-        now: dict[str, bytes] = {}
-        digests.append(now)
-        for name in reversed(hierarchy.order):
-            node = hierarchy.bound[name]
-            tasks: Elements = ()
-            context: Elements = ()
-            for upper in node.above:
-                edge = hierarchy.bound_edges[name, upper]
-                above = states[used][upper]
-                tasks += edge.task.elements(used, times[used], above.actions) if edge.task else ()
-                context += edge.context.elements(used, times[used], above.belief) if edge.context else ()
-            policy = node.choose(epoch, times[epoch], tasks) if node.above else before[name].policy
-            actions = node.policies[policy].elements(epoch, times[epoch], sensed[name])
-            belief = node.predict(epoch, times[epoch], context, actions, sensed[name])
-            states[epoch][name] = ActiveNode(belief, policy, actions)  # type: ignore[index]
-            encoded = encode_state(belief, policy, actions)
-            now[name] = node_digest(encoded, [digests[used][upper] for upper in node.above])
-        chained.append(epoch_digest(chained[-1], epoch, ROSTER_HASH, now[hierarchy.world]))
-    return chained[1:]
+def formal_digests(hierarchy: Hierarchy, epochs: int) -> list[bytes]:
+    """The digests of epochs with the barrier, by the formal model."""
+    now, digests = ActiveHierarchy.initial(hierarchy), [NO_DIGEST]
+    for _ in range(epochs):
+        now = update(now)
+        digests.append(formal_digest(now, digests[-1], ROSTER_HASH))
+    return digests[1:]
 
 
 class DrainingRunner(NodeRunner):
@@ -123,7 +82,7 @@ def run(
     return digests, [engine for engine in engines if isinstance(engine, StaleEngine)]
 
 
-@pytest.mark.parametrize("staleness", [Staleness(1, exact=True), Staleness(3, exact=True)])
+@pytest.mark.parametrize("staleness", [Staleness(1), Staleness(3)])
 @pytest.mark.parametrize("seed", range(10))
 def test_links_may_break_and_what_was_lost_is_said_again(seed: int, staleness: Staleness) -> None:
     hierarchy = random_hierarchy(seed)
@@ -138,8 +97,9 @@ def test_links_may_break_and_what_was_lost_is_said_again(seed: int, staleness: S
             broken.append(rng.choice(pairs))
             network.break_link(*broken[-1])
 
-    digests, _ = run(hierarchy, epochs, staleness, seed, disturb=disturb)
-    assert digests == formal_digests(hierarchy, epochs, staleness.epochs or 0)
+    digests, engines = run(hierarchy, epochs, staleness, seed, disturb=disturb)
+    assert len(digests) == epochs, "nobody waits for what was lost"
+    assert all((engine.epoch, engine.ages.left_out) == (epochs, 0) for engine in engines)
 
 
 def take_turns(runners: Mapping[str, NodeRunner], pacemaker: Pacemaker, rng: random.Random) -> None:
@@ -153,26 +113,15 @@ def take_turns(runners: Mapping[str, NodeRunner], pacemaker: Pacemaker, rng: ran
 
 
 @settings(max_examples=30)
-@given(seed=st.integers(0, 2**32), order=st.integers(0, 2**32), staleness=st.sampled_from((1, 2, 3, 8)))
-def test_an_exact_staleness_is_the_formal_core_with_inputs_so_old_in_any_order(
-    seed: int, order: int, staleness: int
-) -> None:
-    hierarchy = random_hierarchy(seed, setting=OperatorSetting(seed=order))
-    epochs = staleness + 6
-    digests, _ = run(hierarchy, epochs, Staleness(staleness, exact=True), order)
-    assert digests == formal_digests(hierarchy, epochs, staleness)
-
-
-@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32),
     order=st.integers(0, 2**32),
-    staleness=st.sampled_from((Staleness(None), Staleness(1), Staleness(8, exact=True))),
+    staleness=st.sampled_from((Staleness(None), Staleness(1), Staleness(8))),
 )
 def test_drained_epochs_are_those_of_the_barrier_in_any_order(seed: int, order: int, staleness: Staleness) -> None:
     hierarchy = random_hierarchy(seed, nodes=5, setting=OperatorSetting(seed=order))
     digests, engines = run(hierarchy, 6, staleness, order, DrainingRunner)
-    assert digests == formal_digests(hierarchy, 6, 0)
+    assert digests == formal_digests(hierarchy, 6)
     assert all(engine.ages.largest == engine.ages.left_out == 0 for engine in engines)
 
 
@@ -180,7 +129,7 @@ def test_drained_epochs_are_those_of_the_barrier_in_any_order(seed: int, order: 
 def test_in_free_running_all_nodes_have_a_part_in_the_first_epoch_and_the_last(seed: int) -> None:
     hierarchy = random_hierarchy(seed, setting=OperatorSetting(seed=seed))
     digests, engines = run(hierarchy, 30, Staleness(None), seed)
-    assert digests[0] == formal_digests(hierarchy, 1, 0)[0]
+    assert digests[0] == formal_digests(hierarchy, 1)[0]
     assert len(digests) == 30
     assert all((engine.epoch, engine.phase) == (30, Phase.DONE) for engine in engines)
     above = [engine for engine in engines if not engine.is_world]
@@ -254,24 +203,19 @@ def inputs(*epochs: int) -> list[tuple[int, tuple[Any, ...], tuple[Any, ...]]]:
     return [(k, (f"{TASKS} {old}",), (f"{CONTEXT} {old}",)) for k, old in enumerate(epochs, 1)]
 
 
-def test_the_newest_in_hand_is_used_and_the_exact_one_where_that_is_asked_for() -> None:
-    newest, exact = LooseSolo(Staleness(2)), LooseSolo(Staleness(2, exact=True))
-    came: dict[LooseSolo, list[Any]] = {newest: [], exact: []}
-    for solo, outputs in came.items():
-        outputs += solo.take(observed(1), *from_above(1))
-        outputs += solo.take(observed(2), *from_above(2))
-        outputs += solo.take(*from_above(3), observed(3))
-        outputs += solo.take(observed(4), observed(5), *from_above(4))
-    assert used(came[newest]) == inputs(1, 1, 3, 3, 3)
-    assert used(came[exact]) == inputs(1, 1, 1, 2, 3)
-    assert newest.ages() == {"staleness_mean": 0.8, "staleness_max": 2.0, "epochs_left_out": 0.0}
-    assert exact.ages()["staleness_mean"] == 1.4
+def test_the_newest_in_hand_is_used() -> None:
+    solo = LooseSolo(Staleness(2))
+    outputs = solo.take(observed(1), *from_above(1))
+    outputs += solo.take(observed(2), *from_above(2))
+    outputs += solo.take(*from_above(3), observed(3))
+    outputs += solo.take(observed(4), observed(5), *from_above(4))
+    assert used(outputs) == inputs(1, 1, 3, 3, 3)
+    assert solo.ages() == {"staleness_mean": 0.8, "staleness_max": 2.0, "epochs_left_out": 0.0}
 
 
-@pytest.mark.parametrize("exact", [False, True])
 @pytest.mark.parametrize("epochs", [1, 3])
-def test_what_is_older_than_allowed_is_waited_for(exact: bool, epochs: int) -> None:
-    solo = LooseSolo(Staleness(epochs, exact))
+def test_what_is_older_than_allowed_is_waited_for(epochs: int) -> None:
+    solo = LooseSolo(Staleness(epochs))
     solo.take(observed(1), *from_above(1))
     outputs = solo.take(*(observed(k) for k in range(2, 9)))
     assert [step.epoch for step in steps(outputs)] == list(range(2, epochs + 2))
@@ -291,7 +235,7 @@ def test_an_epoch_is_not_begun_twice_by_what_comes_twice() -> None:
 # --- drained epochs
 
 
-@pytest.mark.parametrize("staleness", [Staleness(2), Staleness(2, exact=True), FREE])
+@pytest.mark.parametrize("staleness", [Staleness(2), FREE])
 def test_a_drained_epoch_waits_for_its_own_inputs_and_says_so_above(staleness: Staleness) -> None:
     solo = LooseSolo(staleness)
     take = solo.turn if staleness.free else solo.take
@@ -321,7 +265,7 @@ def is_drained(outputs: list[Any]) -> list[bool]:
     return [DRAIN in each.header.extensions for each in sent(outputs)]
 
 
-@pytest.mark.parametrize("staleness", [Staleness(2), Staleness(2, exact=True), FREE])
+@pytest.mark.parametrize("staleness", [Staleness(2), FREE])
 def test_the_first_epoch_under_a_roster_is_drained(staleness: Staleness) -> None:
     solo = world(staleness)
     assert is_drained(solo.begin()) == [True]
@@ -421,7 +365,7 @@ def test_a_drained_epoch_waits_for_all_below() -> None:
 # --- what a change of the roster leaves behind
 
 
-@pytest.mark.parametrize("staleness", [Staleness(3), Staleness(3, exact=True), FREE])
+@pytest.mark.parametrize("staleness", [Staleness(3), FREE])
 def test_what_another_instance_or_an_older_roster_says_is_never_used(staleness: Staleness) -> None:
     solo = LooseSolo(staleness)
     wrong = [
@@ -437,7 +381,7 @@ def test_what_another_instance_or_an_older_roster_says_is_never_used(staleness: 
     assert solo.engine.waits_for == (("low", OBSERVATIONS),)
 
 
-@pytest.mark.parametrize("staleness", [Staleness(3), Staleness(3, exact=True), FREE])
+@pytest.mark.parametrize("staleness", [Staleness(3), FREE])
 def test_after_a_change_nothing_of_the_roster_before_is_used(staleness: Staleness) -> None:
     solo = LooseSolo(staleness)
     take = solo.turn if staleness.free else solo.take
@@ -458,10 +402,9 @@ def test_after_a_change_nothing_of_the_roster_before_is_used(staleness: Stalenes
     assert verdicts(solo.take(observed(4))) == [Verdict.OLD_ROSTER]
 
 
-@pytest.mark.parametrize("exact", [False, True])
-def test_after_a_loss_a_node_goes_on_with_the_epoch_under_way(exact: bool) -> None:
+def test_after_a_loss_a_node_goes_on_with_the_epoch_under_way() -> None:
     """It waits in epoch 3 for what the lost one had to send; the world has come to epoch 5."""
-    solo = LooseSolo(Staleness(1, exact))
+    solo = LooseSolo(Staleness(1))
     solo.take(observed(1), *from_above(1))
     solo.take(observed(2), observed(3), observed(4))
     done = solo.engine.state
@@ -504,9 +447,8 @@ def test_a_node_that_has_done_the_epoch_undoes_it_after_a_loss() -> None:
     assert used(solo.take(*from_above(2, text="new", attempt=1, roster=NEXT_ROSTER))) == [(2, ("new",), ("new",))]
 
 
-@pytest.mark.parametrize("staleness", [Staleness(2), Staleness(2, exact=True)])
-def test_what_the_roster_before_gave_of_the_same_epoch_is_not_used(staleness: Staleness) -> None:
-    solo = LooseSolo(staleness)
+def test_what_the_roster_before_gave_of_the_same_epoch_is_not_used() -> None:
+    solo = LooseSolo(Staleness(2))
     solo.take(observed(1, drains=True), *from_above(1))
     assert (solo.engine.epoch, solo.engine.phase) == (1, Phase.DONE)
     solo.prepare(wiring(roster=NEXT_ROSTER, mixing=True))

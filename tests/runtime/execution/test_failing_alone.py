@@ -118,7 +118,7 @@ def test_what_replaces_another_and_fails_later_ends_the_run_or_is_detached(
         assert run(tmp_path, capsys, alone)["digest"] == expected["digest"]
 
 
-@pytest.mark.parametrize("settings", [("staleness=1", "exact=true"), ("staleness=null",)])
+@pytest.mark.parametrize("settings", [("staleness=1",), ("staleness=null",)])
 def test_where_epochs_overlap_what_was_replaced_goes_on(
     settings: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,7 +175,7 @@ def test_a_node_of_the_deployment_that_is_to_be_detached(tmp_path: Path, capsys:
     assert alone["digest"] == expected["digest"]
 
 
-@pytest.mark.parametrize("settings", [("staleness=1", "exact=true"), ("staleness=null",)])
+@pytest.mark.parametrize("settings", [("staleness=1",), ("staleness=null",)])
 def test_where_epochs_overlap_the_run_goes_on(
     settings: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

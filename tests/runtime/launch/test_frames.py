@@ -48,7 +48,6 @@ def test_an_order_comes_out_as_it_went_in() -> None:
         seed=7,
         epochs=None,
         staleness=None,
-        exact=False,
         rate_hz=2.5,
         hub="tcp/127.0.0.1:1",
         host="",

@@ -33,7 +33,6 @@ ORDER: dict[str, Any] = {
     "seed": 3,
     "epochs": None,
     "staleness": 0,
-    "exact": False,
     "rate_hz": None,
     "hub": "tcp/203.0.113.9:1",
     "host": "0.0.0.0",

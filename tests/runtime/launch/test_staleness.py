@@ -1,4 +1,4 @@
-"""Launches with a staleness and in free running: when they equal the run, changes, and processes that die."""
+"""Launches with a staleness and in free running: changes, and processes that die."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import msgpack
 import pytest
 import yaml
 from support.device_nodes import DEVICE, MOVES_S, acts
-from support.launched import Launched, hierax, run_here, said_here
+from support.launched import Launched, hierax, said_here
 from support.pace import paced
 from support.sweep import SWEEP
 
@@ -22,19 +22,6 @@ from hierax.runtime.deployment.deployment import shipped
 MANY = "1000000"
 AFTER = 20
 NODES = ("arm", "eye", "spatial", "world")
-
-
-EXACT = [("letters", 30, 1), ("servo", 60, 2), ("chain", 300, 3)]
-FURTHER = [(name, epochs, staleness) for name, epochs, _ in EXACT for staleness in (1, 2, 3)] if SWEEP else []
-
-
-@pytest.mark.parametrize(("deployment", "epochs", "staleness"), dict.fromkeys([*EXACT, *FURTHER]))
-def test_a_launch_with_an_exact_staleness_is_the_run(deployment: str, epochs: int, staleness: int) -> None:
-    options = ["--epochs", str(epochs), "--seed", "5", "--set", f"staleness={staleness}", "--set", "exact=true"]
-    wanted = run_here(deployment, *options)
-    report = hierax("launch", deployment, *options)
-    assert (report["digest"], report["nodes"]) == (wanted["digest"], wanted["nodes"])
-    assert wanted["nodes"]["world"]["metrics"]["staleness_max"] == staleness
 
 
 # --- changes
@@ -51,9 +38,7 @@ class Changed:
         for node, given in plain["nodes"].items():  # a snippet knows no parameters of the file
             values = given.get("parameters", {})
             self._nodes[node]["parameters"] = {key: self._value(value, plain) for key, value in values.items()}
-        self.file = str(self._write("plain.yaml", {**plain, **fields}))
         self.paced = paced(folder, name, **fields)
-        self.schedule: list[str] = []
 
     def launch(self, *options: str) -> Launched:
         return Launched(self._folder, self.paced, *options)
@@ -63,21 +48,11 @@ class Changed:
         done = said_here(kind, *arguments, "--format", "json", folder=self._folder)
         assert done.returncode == 0, done.stderr
         epoch: int = json.loads(done.stdout)["epoch"]
-        spelled = ":".join(argument.replace("--", "") for argument in arguments)
-        self.schedule += ["--at", f"{epoch}:{kind}:{spelled}"]
         return epoch
 
     def other(self, node: str) -> str:
         """A snippet that has a node in it as it is."""
         return str(self._write(f"{node}.yaml", {"nodes": {node: self._nodes[node]}}))
-
-    def repeated(self, epochs: int) -> dict[int, bytes]:
-        """The digests of the run in one process with the same changes; of the last epoch apart, which is drained."""
-        output = self._folder / "repeated"
-        last = str(epochs + 1)
-        run_here(self.file, "--epochs", last, "--output", str(output), *self.schedule)
-        with (output / "digests.msgpack").open("rb") as entries:
-            return {epoch: digest for epoch, digest in msgpack.Unpacker(entries) if epoch <= epochs}
 
     def _value(self, value: Any, plain: Any) -> Any:
         if isinstance(value, list):
@@ -90,28 +65,6 @@ class Changed:
         path = self._folder / name
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")  # whose order counts
         return path
-
-
-@pytest.mark.parametrize(
-    ("deployment", "top", "other", "staleness"),
-    [("letters", "word", "letter2", 1), ("servo", "motion", "camera", 2), ("chain", "spatial", "arm", 3)],
-)
-def test_a_launch_that_is_changed_is_the_run_with_the_same_changes(
-    deployment: str, top: str, other: str, staleness: int, tmp_path: Path
-) -> None:
-    changed = Changed(tmp_path, deployment, staleness=staleness, exact=True)
-    with changed.launch("--epochs", MANY) as launch:
-        launch.until_epoch(10)
-        changed.change("detach", top)
-        changed.change("replace", other, changed.other(other))
-        last = changed.change("attach", top) + AFTER
-        launch.until_epoch(last)
-        launch.process.send_signal(signal.SIGTERM)
-        launch.end()
-        digests = launch.written
-    wanted = changed.repeated(last)
-    assert len(wanted) == last
-    assert {epoch: digests[epoch] for epoch in wanted} == wanted, changed.schedule
 
 
 @pytest.mark.parametrize("rates", [{}, {"world": 200.0, "spatial": 50.0}])
@@ -156,7 +109,7 @@ def test_a_launch_that_runs_freely_ends_and_says_what_was_used() -> None:
     [
         *([(1, "staleness: 1")] if SWEEP else []),
         (2, "staleness: 2"),
-        (3, "staleness: 3\nexact: true"),
+        (3, "staleness: 3"),
         (4, "staleness: null"),
     ],
 )

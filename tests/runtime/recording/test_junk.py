@@ -98,7 +98,7 @@ def test_an_epoch_far_ahead_is_not_counted_up_to(subject: Subject, tmp_path: Pat
         ("import_paths", '["a\\u0000"]', "import_paths: expected a list of texts"),
         ("settings", "{}", "settings: expected a list of texts"),
         ("hierarchy", "../..", "hierarchy: expected a name"),
-        ("exact", "[" * 5000, "metadata is not what hierax writes"),
+        ("from_start", "[" * 5000, "metadata is not what hierax writes"),
     ],
 )
 def test_what_a_recording_says_of_itself_is_checked(

@@ -47,7 +47,7 @@ def chunked(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> P
 
 def test_it_says_what_it_is_of(recording: Recording) -> None:
     info = recording.info
-    assert (info.hierarchy, info.mode, info.seed, info.staleness, info.exact) == ("flawed", "run", 5, 0, False)
+    assert (info.hierarchy, info.mode, info.seed, info.staleness) == ("flawed", "run", 5, 0)
     assert tuple(info.settings) == ("gain=0.25",)
     assert info.deployment_text == DEPLOYMENT
     assert info.from_start
@@ -186,8 +186,9 @@ def test_anybody_elses_mcap_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_another_format_is_refused(recording: Recording) -> None:
-    with pytest.raises(RecordingError, match="format 3; this version reads formats 1 and 2"):
-        RunInfo.read({**recording.info.plain(), "format": 3})
+    with pytest.raises(RecordingError, match="format 4; this version reads formats 1 to 3"):
+        RunInfo.read({**recording.info.plain(), "format": 4})
+    assert RunInfo.read({**recording.info.plain(), "format": 2, "exact": False}).format == 2
     later = RunInfo.read({**recording.info.plain(), "new": 1})
     assert later == recording.info
 
