@@ -82,8 +82,9 @@ class Ledger:
     def complete(self) -> bool:
         """Whether every node that is there has told of the last epoch that is wanted, and nothing lacks."""
         names = self._names or self._told.keys()
-        cut = self.cut
-        return self.settled and cut is not None and all(self._told.get(name, 0) >= self._due(name, cut) for name in names)
+        if self.cut is None or not self.settled:
+            return False
+        return all(self._told.get(name, 0) >= self._due(name, self.cut) for name in names)
 
     def _due(self, name: str, epoch: int) -> int:
         """The last epoch up to this one of which a node tells."""

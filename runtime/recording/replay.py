@@ -186,8 +186,6 @@ class Replay:
         old = self.roster
         for name in self.states.keys() - set(live):
             del self.states[name]
-        if roster.rates is not None:
-            self._take_over_late(replayed, live)
         if old is not None and old.version == roster.version:
             return
         if roster.world in live and has_actuators(roster, self.allowance):
@@ -198,17 +196,12 @@ class Replay:
             if name not in self._loaders or changed:
                 self._loaders[name] = NodeLoader(name, setting, self.allowance)
             self.wirings[name] = wiring = self._loaders[name].wiring(roster)
-            if name in self.states and (changed or _took_over(replayed.recorded, before, name)):
+            told = self._told.states if before is None else {**before.nodes, **self._told.states}
+            took_over = name in told and is_another(replayed.recorded, told[name], name)
+            if name in self.states and (changed or took_over):
                 self._take_over(replayed, name)
             elif name not in self.states:
                 self.states[name] = self._first_state(replayed, name, wiring, before)
-
-    def _take_over_late(self, replayed: ReplayedEpoch, live: Collection[str]) -> None:
-        """With rates a node that was replaced by its like tells so with its first turn alone."""
-        for name in live:
-            trace, told = replayed.recorded.nodes.get(name), self._told.states.get(name)
-            if name in self.states and trace is not None and told is not None and is_another(trace, told):
-                self._take_over(replayed, name)
 
     def _take_over(self, replayed: ReplayedEpoch, name: str) -> None:
         try:
@@ -247,18 +240,10 @@ class Replay:
             for name in self.live(recorded.roster)
         )
 
-
     def _knows(self, recorded: EpochTrace, name: str) -> bool:
         """With rates: whether a node's state before an epoch is known, and what counts of earlier ones."""
         begins = recorded.start_of(name) is not None or self._told.knows(name)
         return begins and self._exchange.knows_inputs(recorded.roster, name, recorded.epoch)
-
-
-def _took_over(recorded: EpochTrace, before: EpochTrace | None, name: str) -> bool:
-    """Whether a node was replaced by its like; with rates it is seen as it tells."""
-    if recorded.roster.rates is not None or before is None or name not in recorded.nodes or name not in before.nodes:
-        return False
-    return is_another(recorded.nodes[name], before.nodes[name])
 
 
 def has_actuators(roster: Roster, allowance: Allowance) -> bool:

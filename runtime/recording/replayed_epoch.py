@@ -117,7 +117,8 @@ class Exchange:
             line = (kind, sender, receiver)
             given = self.given(recorded, line)
             if given is None:
-                epoch, attempt = next(when for when in self._used(recorded, line) if self._at(recorded, line, when) is None)
+                used = self._used(recorded, line)
+                epoch, attempt = next(when for when in used if self._at(recorded, line, when) is None)
                 what = f"the {kind} message {sender} -> {receiver} of epoch {epoch}, attempt {attempt}, is not recorded"
                 raise RecordingError(f"{recorded.place}: epoch {recorded.epoch} cannot be done again: {what}")
             found += given.elements

@@ -27,7 +27,7 @@ class LastTold:
     def end(self, recorded: EpochTrace) -> None:
         """An epoch ends."""
         if recorded.roster.rates is not None:
-            self.states.update(recorded.nodes)
+            self.states.update({**recorded.begun, **recorded.nodes})
 
     def state_of(self, name: str) -> ActiveNode | None:
         """A node's state; None: it has told none."""
@@ -42,6 +42,9 @@ class LastTold:
         return turn == 0 and self._first <= rates.timing.since.get(name, self._first)
 
 
-def is_another(node: NodeTrace, before: NodeTrace) -> bool:
-    """Whether a node was replaced since: unlike a process that comes back it began with another state."""
-    return bool(node.step.start) and node.step.start != before.step.state
+def is_another(recorded: EpochTrace, before: NodeTrace, name: str) -> bool:
+    """Whether a node was replaced by its like: unlike a process that comes back it began with another state."""
+    if name in recorded.begun:
+        return recorded.begun[name].step.state != before.step.state
+    start = recorded.nodes[name].step.start if name in recorded.nodes else b""
+    return bool(start) and start != before.step.state

@@ -64,6 +64,7 @@ class EpochTrace:
     heard_ns: int = 0  # when the world told of it, since 1970; 0: it did not
     previous: bytes = b""  # digest, after the epoch before
     place: str = ""  # of the recording, for errors: `SchemaError` where a message is none
+    begun: Mapping[str, NodeTrace] = field(default_factory=dict)  # with rates: states of who came, and has a later turn
 
     def message(self, data: bytes) -> Message:
         try:
@@ -93,6 +94,8 @@ class EpochTrace:
 
     def start_of(self, name: str) -> ActiveNode | None:
         """A node's state at its beginning, where that was told."""
+        if name in self.begun:
+            return self.begun[name].state
         return self.nodes[name].start if name in self.nodes else None
 
     def used_of(self, name: str) -> Mapping[tuple[str, str], tuple[int, int]] | None:
@@ -168,6 +171,7 @@ class Assembly:
         self._world = 0  # the last epoch of which the world has told
         self._next = 0
         self._digest = (0, NO_DIGEST)
+        self._instances: Mapping[str, int] | None = None  # of the last roster under which an epoch was done
 
     def take(self, entry: Entry) -> bool:
         """Take something in; whether epochs may be whole now. Raises `SchemaError` or `HierarchyError` if it is bad."""
@@ -229,7 +233,17 @@ class Assembly:
         if roster.rates is not None and any(line not in pending.lines for line in lines_of(roster, doing)):
             done = (roster.rates.reach + self._next, 0)  # nobody says anything of this epoch any more
             doing = tuple(roster.nodes)
-        return all(self._told.get(name, (0, 0)) >= done for name in doing)
+        coming = self._coming(roster, self._next)
+        is_there = all(self._told.get(name, (0, 0)) >= (turn, 0) for name, turn in coming.items())
+        return is_there and all(self._told.get(name, (0, 0)) >= done for name in doing)
+
+    def _coming(self, roster: Roster, epoch: int) -> Mapping[str, int]:
+        """With rates: the nodes that have another process than before, and the later turns in which these tell it."""
+        rates, before = roster.rates, self._instances
+        if rates is None or before is None or before == roster.instances:
+            return {}
+        others = [name for name in roster.nodes if roster.instance(name) != before.get(name, 0)]
+        return {name: rates.next_turn(name, epoch) for name in others if not rates.takes_part(name, epoch)}
 
     def _roster(self, pending: _Pending) -> Roster | None:
         versions = [step.roster for steps in pending.steps.values() for step in steps.values()]
@@ -253,9 +267,12 @@ class Assembly:
             if later is not None and one is not None and self._barrier:
                 taken = later._replace(epoch=epoch, attempt=attempt, roster=roster.version, time_s=one.time_s)
                 nodes[name] = NodeTrace(taken, self._place)
+        coming = {name: self._state_from(name, turn) for name, turn in self._coming(roster, epoch).items()}
+        begun = {name: NodeTrace(step, self._place) for name, step in coming.items() if step is not None}
+        self._instances = roster.instances
         digest = (world[attempt].chain if world else b"") or pending.digest
         previous = self._digest[1] if self._digest[0] == epoch - 1 else b""
-        told = (pending.lines, digest, pending.heard_ns, previous, self._place)
+        told = (pending.lines, digest, pending.heard_ns, previous, self._place, begun)
         return EpochTrace(epoch, attempt, roster, dict(sorted(nodes.items())), *told)
 
     def _state_from(self, name: str, epoch: int) -> NodeStep | None:

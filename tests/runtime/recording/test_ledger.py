@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hierax.runtime.recording.ledger import PATIENCE_S, Ledger
+from hierax.schemas.roster import Reference, Roster, RosterEdge
 from hierax.schemas.steps import NodeStep, Passage
 
 STATE = b""
@@ -10,6 +11,13 @@ STATE = b""
 
 def step(name: str, number: int, epoch: int, *passages: Passage, stream: str = "s", chain: bytes = b"") -> NodeStep:
     return NodeStep(name, f"{name}-{stream}", number, epoch, 0, 0, 0, 0.0, b"", STATE, passages=passages, chain=chain)
+
+
+def roster_of(*names: str, **edge: object) -> Roster:
+    """A roster of these nodes, the first one below the second where something is said of their edge."""
+    nodes = {name: Reference("some.module:Node") for name in names}
+    edges = (RosterEdge(names[0], names[1], **edge),) if edge else ()  # type: ignore[arg-type]
+    return Roster(names[0], nodes, edges)
 
 
 def sent(peer: str, epoch: int, attempt: int = 0) -> Passage:
