@@ -42,6 +42,11 @@ CONTEXT = "ctx"
 HELLO = "hello"
 KINDS = (OBSERVATIONS, TASKS, CONTEXT, HELLO)
 
+DRAIN = "drain"
+"""The header's extension of observations, where epochs overlap: this one does not, at its end every node is done."""
+
+GREETING = 0  # the epoch of a message that says nothing but that its sender is there
+
 DIGEST_BYTES = 32
 NO_EXTENSIONS: Mapping[str, Value] = {}
 

@@ -143,6 +143,11 @@ class Rates:
     def takes_part(self, name: str, epoch: int) -> bool:
         return self.turns_of(name).include(epoch) and epoch >= self.timing.since.get(name, 1)
 
+    def last_turn(self, name: str, epoch: int) -> int:
+        """The last epoch up to this one in which a node takes part by these rates; 0: there was none."""
+        turn = self.turns_of(name).last(epoch)
+        return turn if turn >= self.timing.since.get(name, 1) else 0
+
     def next_turn(self, name: str, epoch: int) -> int:
         """The first epoch after this one in which a node takes part."""
         return self.turns_of(name).next(max(epoch, self.timing.since.get(name, 1) - 1))
@@ -194,6 +199,12 @@ class Rates:
         turns, began = self.turns_of(upper), self.timing.began.get((lower, upper))
         delay = self.delays.get((lower, upper), 0)
         return Former(turns.every, turns.offset, delay, *((0, 0) if began is None else began[:2]))
+
+    @property
+    def reach(self) -> int:
+        """How many epochs back something may be of that counts in one."""
+        turns = max((turns.every for turns in self.turns.values()), default=1)
+        return turns + max(self.delays.values(), default=0)
 
     @property
     def first_turns(self) -> int:

@@ -48,7 +48,6 @@ def export(
     from hierax.runtime.tools.services import Service, check_settings
 
     deployment = read_deployment(file, overrides or ())
-    deployment.refuse_rates("a launch")
     check_settings(deployment, overrides or ())
     service = Service(deployment, tuple(overrides or ()), seed, epochs, image)
     for written in _writer(what)(service):

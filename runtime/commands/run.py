@@ -30,7 +30,6 @@ def run(file: File, options: RunOptions) -> int:
     def run_scheduled(deployment: "Deployment", **given: Any) -> "Report":
         schedule = read_schedule(options.at or (), deployment)
         if recorded or options.check:
-            deployment.refuse_rates("a recording")  # before there is a file
             from hierax.runtime.recording.info import RunInfo
             from hierax.runtime.recording.recorder import InProcess, Recorder
 

@@ -274,7 +274,6 @@ class Deployment:
     document: Document = field(repr=False, compare=False)  # where everything stands in the file
     view: ViewSpec = ViewSpec()  # how a viewer shows it
     processes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by name, the nodes that share one
-    rated_at: Keys = ()  # where the file says the first thing of rates
     hosts: Mapping[str, Host] = field(default_factory=dict)  # the machines on which a launch may run nodes, by name
     placed: Mapping[str, str] = field(default_factory=dict)  # by node, the host on which it runs; others run here
 
@@ -287,18 +286,6 @@ class Deployment:
     def overlaps(self) -> bool:
         """Whether nodes may be in different epochs."""
         return self.roster.rates is not None or not self.staleness.barrier
-
-    def refuse_rates(self, whose: str) -> None:
-        """Raise `DeploymentError` where the file has rates: `whose` does not know them, and would do something else."""
-        if self.roster.rates is not None:
-            raise self.document.error(
-                self.rated_at, f"rates are for 'run' and 'launch'; {whose} does not know them yet"
-            )
-
-    def check_rated(self, is_recorded: bool) -> None:
-        """Raise `DeploymentError` where the file has rates, and neither `run` nor `launch` knows what is with them."""
-        if is_recorded:
-            self.refuse_rates("a recording")
 
     def place(self, where: str) -> str:
         """``file:line`` of a path such as ``nodes.world.class``, or the ``--set`` that gave it."""

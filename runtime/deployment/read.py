@@ -26,7 +26,7 @@ from hierax.runtime.deployment.deployment import (
 from hierax.runtime.deployment.hosts import check_together, hosts_of, placed_on
 from hierax.runtime.deployment.models import first_error
 from hierax.runtime.deployment.parameters import apply_override, substitute
-from hierax.runtime.deployment.rates import TOGETHER, rated_keys, rates_of
+from hierax.runtime.deployment.rates import TOGETHER, rates_of
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.host.scheduling import REAL_TIME
 from hierax.runtime.host.zenoh_settings import names_file
@@ -91,7 +91,6 @@ def deployment_of(document: Document, path: Path) -> Deployment:
         import_paths=import_paths(path),
         document=document,
         view=_view(model.view),
-        rated_at=next(iter(rated_keys(model)), ("rates",)),
         processes=processes,
         hosts=hosts,
         placed=placed,

@@ -30,9 +30,6 @@ from hierax.schemas.values import encode_value
 AFTER = "after"
 """The header's extension of observations: which attempt of the epoch before counts, where that is not the first one."""
 
-DRAIN = "drain"
-"""The header's extension of observations, where epochs overlap: this one does not, at its end every node is done."""
-
 KEPT_ATTEMPTS = 8
 """Of how many attempts of an epoch, which other ones came after, the states at the end are kept until the next one."""
 
@@ -87,6 +84,12 @@ class Engine:
         """What has to be kept beside the states, as `hierax.schemas.checkpoint` has it; nothing, where epochs end for
         all at once."""
         return b""
+
+    @property
+    def used(self) -> Sequence[tuple[str, str, int, int]]:
+        """Sender, kind, epoch and attempt of the inputs of the last epoch, in order; none, where all are of the epoch
+        itself."""
+        return ()
 
     @property
     def is_world(self) -> bool:

@@ -22,18 +22,16 @@ from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.engine.coming import ComingEpochs, includes
 from hierax.runtime.engine.effects import EngineEffects, Saved
-from hierax.runtime.engine.engine import DRAIN, Engine
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.kept import KeptMessages
 from hierax.runtime.engine.said import SaidMessages
 from hierax.runtime.engine.table import ACTIONS, EPOCHS_AHEAD, ROSTERS_AHEAD, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
+from hierax.schemas.messages import CONTEXT, DRAIN, GREETING, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
 from hierax.schemas.rates import Rates
 from hierax.schemas.values import fits
-
-GREETING = 0  # the epoch of a message that says nothing but that its sender is there
 
 
 class RatedEngine(Engine):
@@ -60,6 +58,7 @@ class RatedEngine(Engine):
         self._greets = joins or saved is not None  # whether neighbours may have more than this process knows of
         self._unsent: list[Message] | None = None
         self.drains = False  # whether the epoch under way is a drained one; of the world's, to be set before it begins
+        self._used: list[tuple[str, str, int, int]] = []
         self.overruns: dict[str, int] = {}  # by node above, how often its delayed prediction was waited for
         comes = joins and wiring.place.rates is not None and wiring.node.name in wiring.place.rates.timing.fresh
         super().__init__(wiring, effects, saved=saved, joins=comes)
@@ -110,8 +109,20 @@ class RatedEngine(Engine):
             return encode_under_way(None, said, forgotten, gathered)
 
     @property
+    def used(self) -> tuple[tuple[str, str, int, int], ...]:
+        """Of what an edge gathers, each epoch of which there is something; epoch 0: nothing counts yet."""
+        return tuple(sorted(self._used))
+
+    @property
     def waits_for(self) -> tuple[Slot, ...]:
         return tuple(sorted(self._lacking()))
+
+    @property
+    def in_force(self) -> Mapping[str, int]:
+        """By upper neighbour, the epoch whose context and tasks count in the node's last turn; 0: there were none."""
+        rates, name = self._rates, self.name
+        turn = rates.last_turn(name, self.epoch)
+        return {upper: rates.in_force(name, upper, turn) if turn else 0 for upper in self.node.above}
 
     def go_back_to(self, attempt: int) -> None:
         """An epoch has one attempt, whatever its number."""
@@ -373,6 +384,7 @@ class RatedEngine(Engine):
         self.drains = self._extends = any(DRAIN in message.header.extensions for message in self.inbox.values())
         self._gather()
         if self._takes_part:
+            self._used = [row for slot, message in self.inbox.items() for row in self._observed(slot, message)]
             super()._sense()
             return
         self.time_s = self.inbox[self.node.below[0], OBSERVATIONS].header.time_s
@@ -389,6 +401,12 @@ class RatedEngine(Engine):
                 gathered += [(self.epoch, element) for element in message.payload]
                 if self._takes_part:
                     self.inbox[slot] = Message(message.header, tuple(self._gathered.pop(lower)))
+
+    def _observed(self, slot: Slot, message: Message) -> list[tuple[str, str, int, int]]:
+        """Which messages are observed in a slot."""
+        if (slot[0], self.name) not in self._rates.gathers:
+            return [(*slot, *message.header.when)]
+        return [(*slot, epoch, 0) for epoch in dict.fromkeys(epoch for epoch, _ in message.payload)]
 
     def _observe(self, observations: Elements) -> Value:
         """A process that comes back has said what follows from the belief of before: that counts, and no other one."""
@@ -428,6 +446,8 @@ class RatedEngine(Engine):
             self._say_what_is_saved(self._hand_on_nothing)
             return
         self.inbox = {slot: self._in_force(slot) for slot in self._counting}
+        self._used = [row for row in self._used if row[1] == OBSERVATIONS]
+        self._used += [(*slot, *message.header.when) for slot, message in self.inbox.items()]
         for slot, oldest in self._counting.items():
             self._kept.forget(slot, oldest)
         super()._predict()

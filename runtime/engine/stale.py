@@ -15,10 +15,10 @@ from math import inf
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.engine.effects import EngineEffects, Saved
-from hierax.runtime.engine.engine import DRAIN, SLOT_FIELDS, Engine
+from hierax.runtime.engine.engine import SLOT_FIELDS, Engine
 from hierax.runtime.engine.table import ACTIONS, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
-from hierax.schemas.messages import OBSERVATIONS, Header, Message
+from hierax.schemas.messages import DRAIN, OBSERVATIONS, Header, Message
 
 _UNTIMELY = (Verdict.LATE, Verdict.EARLY, Verdict.DOUBLE, Verdict.CURRENT)
 
@@ -67,11 +67,15 @@ class StaleEngine(Engine):
         self._is_rewired = True
         self.drains = False
         self.ages = Ages()
-        self.used: dict[Slot, tuple[int, int]] = {}  # by slot, the epoch and attempt of the input that was used last
+        self._used: dict[Slot, tuple[int, int]] = {}  # by slot, the epoch and attempt of the input that was used last
         self._sent_in: dict[int, dict[Slot, Message]] = {}
         if staleness.free:
             self._epochs_ahead = inf  # nobody waits for a node that is slow
         super().__init__(wiring, effects, saved=saved, joins=joins)
+
+    @property
+    def used(self) -> tuple[tuple[str, str, int, int], ...]:
+        return tuple((*slot, *when) for slot, when in sorted(self._used.items()))
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
@@ -230,7 +234,7 @@ class StaleEngine(Engine):
 
     def _sense(self) -> None:
         headers = [message.header for message in self.inbox.values()]
-        self.used = {(header.sender, header.kind): header.when for header in headers}
+        self._used = {(header.sender, header.kind): header.when for header in headers}
         self.drains = any(DRAIN in header.extensions for header in headers if header.epoch == self.epoch)
         super()._sense()
 
@@ -250,7 +254,7 @@ class StaleEngine(Engine):
             message = self._choose(slot)
             if message is not None:
                 chosen[slot] = message
-                self.used[slot] = message.header.when
+                self._used[slot] = message.header.when
                 self.ages.add(self.epoch - message.header.epoch)
         return chosen
 

@@ -93,7 +93,6 @@ class SingleRun:
         acts: bool = True,  # whether the world moves its actuators
         turn: Callable[[str], None] | None = None,  # told whose turn it is, before it
     ) -> None:
-        deployment.check_rated(record is not None)
         if output is not None:
             write_roster(output, deployment.roster)
         self._deployment, self._seed, self._output, self._record = deployment, seed, output, record

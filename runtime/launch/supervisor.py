@@ -72,7 +72,6 @@ def launch(
     SIGTERM or SIGHUP broke it off, all processes gone; before all nodes were up `KeyboardInterrupt`.
     """
     begun_s = time.perf_counter()
-    deployment.check_rated(recording is not None)
     with (forks or ForkServer()).start() as forks, ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
         found = stack.enter_context(reached(deployment))

@@ -15,6 +15,10 @@ it, and at the messages and digests themselves:
     COMMIT   epochs are committed once and in order, and nothing of an epoch follows its commit
     DIGEST   a node's digest is that of its state and its parents' digests, the run's the chain of the world's
     GRAPH    a roster is a hierarchy
+    TURN     with rates, a node takes part in its turns, in each of them, and in no other epoch
+
+With rates ALL, SENSE and UP hold of every epoch that a node has passed, PREDICT and DIGEST of what is in force in its
+turn, and EPOCH of that and of what it has gathered.
 
 "Before" and "after" are as the node's own port saw them: nothing that comes over a network
 says in which order two others acted, but what one has received another has sent before."""
@@ -26,14 +30,16 @@ from math import inf
 from typing import NamedTuple
 from zlib import crc32
 
-from hierax.runtime.core.digest import epoch_digest, node_digest
+from hierax.runtime.core.digest import NO_DIGEST, epoch_digest, node_digest
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.core.staleness import BARRIER, Staleness
+from hierax.runtime.recording.rated_order import RatedTurn, previous_turn
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, glance
 from hierax.runtime.recording.trace import Attempt, Line
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header
+from hierax.schemas.messages import CONTEXT, GREETING, OBSERVATIONS, TASKS, Header
+from hierax.schemas.rates import Rates
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage
 
@@ -43,6 +49,7 @@ SETTLED_BYTES = 64 << 20
 """So many commits, or so much, later everything of an epoch is here: links may be far behind each other."""
 
 SHOWN = 100
+_NO_ELEMENTS = b"\x90"  # the payload of a message that holds nothing
 HELD_STEPS = 10_000  # how many steps may wait for their roster
 
 
@@ -76,31 +83,41 @@ class _PortLog:
     stream: str
     number: int
     unsure: int
+    told: int = 0  # the epoch of the last step; 0: none by this process
+    after: int = 0  # with rates: up to this epoch its port saw things before anybody recorded; 0: it did not
     seen: dict[Passage, int] = field(default_factory=dict)
     count: int = 0
+
+    kept: int = KEPT_EPOCHS
 
     def add(self, passages: Iterable[Passage], epoch: int) -> None:
         for passage in passages:
             self.count += 1
             self.seen.setdefault(passage, self.count)
-        if len(self.seen) > 64 * KEPT_EPOCHS:
-            self.seen = {each: at for each, at in self.seen.items() if each.epoch > epoch - KEPT_EPOCHS}
+        if len(self.seen) > 64 * self.kept:
+            self.seen = {each: at for each, at in self.seen.items() if each.epoch > epoch - self.kept}
 
     def place(self, sent: bool, kind: str, peer: str, when: Attempt) -> int | None:
         return self.seen.get(Passage(sent, kind, peer, *when))
 
+    def place_of(self, sent: bool, kind: str, peer: str, epoch: int) -> int | None:
+        """With rates, where an epoch has one attempt."""
+        return self.place(sent, kind, peer, (epoch, 0))
+
 
 class Checker:
-    """Sees all that is recorded of a run of this staleness, as it comes, and says what breaks the order."""
+    """Sees all that is recorded of a run of this staleness, as it comes, from the run's start or not, and says what
+    breaks the order."""
 
-    def __init__(self, staleness: Staleness = BARRIER) -> None:
+    def __init__(self, staleness: Staleness = BARRIER, from_start: bool = True) -> None:
         self.violations: list[Violation] = []  # the first ones
         self.epochs = self.checked = 0  # how many commits were seen, and steps checked
         self._staleness = staleness
+        self._from_start = from_start
         self._rosters: dict[int, Roster] = {}
         self._seats: dict[tuple[int, str], _Seat] = {}
         self._logs: dict[str, _PortLog] = {}
-        self._messages: dict[Attempt, dict[Line, tuple[int, bytes]]] = {}  # in the order in which they began
+        self._messages: dict[Attempt, dict[Line, tuple[int, bytes, bool]]] = {}  # in the order in which they began
         self._times: dict[Attempt, float] = {}
         self._waiting: deque[NodeStep] = deque()
         self._bytes = 0
@@ -126,14 +143,16 @@ class Checker:
     def message(self, data: bytes) -> None:
         """A message along an edge."""
         header, payload_at = glance(data)
+        if header.epoch == GREETING:
+            return
         when, what = header.when, _in_words(header)
         known = self._messages.setdefault(when, {})
         content = crc32(memoryview(data)[payload_at:])  # what is in the extensions may change
         before = known.get(header.line)
         if before is None:
-            known[header.line] = (content, header.digest)
+            known[header.line] = (content, header.digest, data[payload_at : payload_at + 1] == _NO_ELEMENTS)
             self._check_edge(header)
-        elif before[0] != content:
+        elif before[:2] != (content, header.digest):
             self._break("ONCE", when, f"{what} was sent twice, unlike")
         time_s = self._times.setdefault(when, header.time_s)
         if time_s != header.time_s:
@@ -148,21 +167,26 @@ class Checker:
             if len(self._early) > HELD_STEPS:
                 self._logs.pop(self._early.popleft().name, None)
             return
-        log = self._log(step)
-        log.add(step.passages, step.epoch)
         roster = self._rosters.get(step.roster)
+        rates = None if roster is None else roster.rates
+        log = self._log(step, rates)
+        log.add(step.passages, step.epoch)
         if roster is None:
             return  # of before the recording
         self._waiting.append(step)
         self._bytes += len(step.state)
-        if not log.unsure:
+        if rates is not None:
+            self._check_turn(step, log, roster)
+        elif not log.unsure:
             self._check_order(step, log, self._seat(roster, step.name))
         log.unsure = max(log.unsure - 1, 0)
+        log.told = step.epoch
         if step.name == roster.world:
             self._commit(step, roster)
             settled = step.epoch - SETTLED_EPOCHS
             while self._waiting and (self._waiting[0].epoch <= settled or self._bytes > SETTLED_BYTES):
                 self._check_digest(self._waiting.popleft())
+            settled -= 0 if rates is None else rates.reach
             while (oldest := next(iter(self._messages), None)) is not None and oldest[0] < settled:
                 del self._messages[oldest], self._times[oldest]
 
@@ -213,6 +237,17 @@ class Checker:
             if received is None or received > first_down:
                 self._break("PREDICT", when, f"{step.name} predicted without {kind} of {peer}")
 
+    def _check_turn(self, step: NodeStep, log: _PortLog, roster: Roster) -> None:
+        """With rates."""
+        turn = RatedTurn(step, roster, previous_turn(self._rosters, step))
+        faults = [*turn.turn_faults(log.told), *turn.input_faults()]
+        if step.epoch > log.after:
+            self.checked += 1
+            epochs = turn.passed() if log.told else (step.epoch,)  # another process may have passed those before
+            faults += turn.order_faults(log.place_of, epochs, log.after)
+        for rule, what in faults:
+            self._break(rule, step.when, what)
+
     def _used(self, step: NodeStep, when: Attempt) -> dict[tuple[str, str], Attempt]:
         """The epochs that the inputs were of, which are found fault with where they may not be."""
         used = step.used_of
@@ -243,19 +278,40 @@ class Checker:
         roster = self._rosters.get(step.roster)
         if roster is None:
             return
+        if roster.rates is not None:
+            self._check_rated_digest(step, roster)
+            return
         used, digests = step.used_of, []
         for peer in self._seat(roster, step.name).above:
             heard = self._messages.get(used.get((peer, CONTEXT), step.when), {}).get((CONTEXT, peer, step.name))
             if heard is None:
                 return  # not recorded: a gap, which is told elsewhere
             digests.append(heard[1])
-        if node_digest(step.state, digests) != step.digest:
-            what = f"{step.name}'s digest does not follow from its state and the context of this epoch"
+        self._compare_digest(step, digests, "this epoch")
+
+    def _check_rated_digest(self, step: NodeStep, roster: Roster) -> None:
+        turn = RatedTurn(step, roster, previous_turn(self._rosters, step))
+        for rule, what in turn.gathering_faults(self._said):
+            self._break(rule, step.when, what)
+        heard = [
+            (0, NO_DIGEST, True) if epoch == 0 else self._said(CONTEXT, upper, step.name, epoch)
+            for upper, epoch in turn.contexts()
+        ]
+        digests = [message[1] for message in heard if message is not None]
+        if len(digests) == len(heard):
+            self._compare_digest(step, digests, "the epochs in force")
+
+    def _said(self, kind: str, sender: str, receiver: str, epoch: int) -> tuple[int, bytes, bool] | None:
+        return self._messages.get((epoch, 0), {}).get((kind, sender, receiver))
+
+    def _compare_digest(self, step: NodeStep, above: Sequence[bytes], when: str) -> None:
+        if node_digest(step.state, above) != step.digest:
+            what = f"{step.name}'s digest does not follow from its state and the context of {when}"
             self._break("DIGEST", step.when, what)
 
     # --- helpers
 
-    def _log(self, step: NodeStep) -> _PortLog:
+    def _log(self, step: NodeStep, rates: Rates | None) -> _PortLog:
         known = self._logs.get(step.name)
         if known is not None and known.stream == step.stream and step.number == known.number + 1:
             known.number += 1
@@ -266,6 +322,9 @@ class Checker:
         if joined or step.number != 1:  # its port saw things before anybody recorded
             unsure = 1 if self._staleness.barrier else KEPT_EPOCHS
         self._logs[step.name] = log = _PortLog(step.stream, step.number, unsure)
+        if rates is not None:
+            log.kept += rates.reach
+            log.after = step.epoch if step.number != 1 or (joined and not self._from_start) else 0
         return log
 
     def _seat(self, roster: Roster, name: str) -> _Seat:
@@ -289,7 +348,7 @@ def _in_words(header: Header) -> str:
 
 def check_recording(recording: Recording) -> Checker:
     """A checker that has seen all of a recording. Raises `RecordingError` if the recording is damaged."""
-    checker = Checker(recording.info.how_stale)
+    checker = Checker(recording.info.how_stale, recording.info.from_start)
     for entry in recording.entries(MESSAGE, STEP, ROSTER):
         if entry.topic.what == MESSAGE:
             checker.message(entry.data)

@@ -12,7 +12,7 @@ from hierax.runtime.core.difference import ABSENT, first_unlike
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.graph import neighbours
 from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
-from hierax.runtime.recording.trace import EpochTrace
+from hierax.runtime.recording.trace import EpochTrace, taking_part
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 
@@ -106,6 +106,7 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
         yield Difference(epoch, a.roster.world, "time", "time_s", a.time_s, b.time_s)
     below, above = neighbours({*a.roster.pairs} & {*b.roster.pairs})
     names = [name for name in a.order if name in b.roster.nodes]
+    doing = {name for each in (a, b) for name in taking_part(each.roster, epoch)}
 
     def unlike(subject: str, operator: str, path: str, left: Value, right: Value) -> Iterator[Difference]:
         if left is None or right is None:
@@ -127,11 +128,12 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
             which = "initial_belief" if epoch == 1 else "start"
             yield from unlike(name, which, "belief", *((start.belief,) for start in starts if start))
         yield from _used_unlike(a, b, name, upward=True)
-        if name != a.roster.world:
+        if name != a.roster.world and name in doing:
             yield from unlike(name, "observe", "belief", a.sensed_of(name), b.sensed_of(name))
         for upper in above.get(name, ()):
-            yield from line(OBSERVATIONS, name, upper)
-    for name in reversed(names):
+            if _is_sensed(a.roster, name, upper, epoch) or _is_sensed(b.roster, name, upper, epoch):
+                yield from line(OBSERVATIONS, name, upper)
+    for name in reversed([name for name in names if name in doing]):
         yield from _used_unlike(a, b, name, upward=False)
         states = [state for state in (a.state_of(name), b.state_of(name)) if state is not None]
         result.unknown += len(states) < 2
@@ -147,6 +149,10 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
             yield from line(CONTEXT, name, lower)
 
 
+def _is_sensed(roster: Roster, lower: str, upper: str, epoch: int) -> bool:
+    return roster.rates is None or roster.rates.is_sensed(lower, upper, epoch)
+
+
 def _used_unlike(a: EpochView, b: EpochView, name: str, upward: bool) -> Iterator[Difference]:
     """Where epochs overlap, inputs of other epochs are what makes results differ."""
     left, right = a.used_of(name) or {}, b.used_of(name) or {}
@@ -160,5 +166,6 @@ def _used_unlike(a: EpochView, b: EpochView, name: str, upward: bool) -> Iterato
 def _parts(roster: Roster) -> dict[str, Value]:
     """Nodes and edges by path."""
     content = roster.content()
-    nodes = {f"nodes.{name}": node for name, node in content["nodes"].items()}
+    turns = {f"nodes.{name}.turns": turns for name, turns in content.get("turns", {}).items()}
+    nodes = {f"nodes.{name}": node for name, node in content["nodes"].items()} | turns
     return nodes | {f"edges.{edge['lower']} -> {edge['upper']}": edge for edge in content["edges"]}

@@ -5,15 +5,19 @@ whoever has lost it, and how."""
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from hierax.runtime.core.graph import Pair
 from hierax.runtime.recording.info import Gap
 from hierax.runtime.recording.trace import Attempt, Line
+from hierax.schemas.rates import Rates
+from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep
 
 PATIENCE_S = 30.0  # how long steps may come after the messages that they tell of
 KEPT_GAPS = 1000
+KEPT_ATTEMPTS = 100_000  # of how many attempts is kept what was heard, while a node has not told of them
 
 
 @dataclass(eq=False, repr=False)
@@ -40,6 +44,11 @@ class Ledger:
         self._gaps: list[Gap] = []
         self._lost = 0
         self._told: dict[str, int] = {}
+        self._rates: Rates | None = None
+        self._pairs: Sequence[Pair] = ()
+        self._whole = 0
+        self._drained = 0
+        self._forgotten: Attempt = (0, 0)
         self.last = 0  # the last epoch whose commit was recorded
         self.cut: int | None = None  # the last epoch that is wanted; None: all are
 
@@ -49,7 +58,20 @@ class Ledger:
         if self.from_start:
             return 1
         told = [self._first.get(name, 0) for name in self._expected]
-        return max(told) + 1 if told and min(told) > 0 else 0
+        if not self._whole and told and min(told) > 0:
+            self._whole = max(told) + 1 if self._rates is None else self._first_by(self._rates)
+        return self._whole
+
+    def _first_by(self, rates: Rates) -> int:
+        """With rates: all that counts from this epoch on was said after its sender's first step."""
+        first = self._first
+        wanted = [first[name] + 1 for name in self._expected]
+        for lower, upper in self._pairs:
+            if lower in first and upper in first:
+                wanted.append(rates.next_turn(upper, first[upper]) + rates.delays.get((lower, upper), 0))
+                if (lower, upper) in rates.gathers:
+                    wanted.append(rates.next_turn(upper, first[lower] - 1) + 1)
+        return max(wanted)
 
     @property
     def settled(self) -> bool:
@@ -60,7 +82,13 @@ class Ledger:
     def complete(self) -> bool:
         """Whether every node that is there has told of the last epoch that is wanted, and nothing lacks."""
         names = self._names or self._told.keys()
-        return self.settled and self.cut is not None and all(self._told.get(name, 0) >= self.cut for name in names)
+        if self.cut is None or not self.settled:
+            return False
+        return all(self._told.get(name, 0) >= self._due(name, self.cut) for name in names)
+
+    def _due(self, name: str, epoch: int) -> int:
+        """The last epoch up to this one of which a node tells."""
+        return epoch if self._rates is None else self._rates.last_turn(name, epoch)
 
     @property
     def ended(self) -> bool:
@@ -76,17 +104,22 @@ class Ledger:
         """Whether something of an epoch is wanted."""
         return self.cut is None or epoch <= self.cut
 
-    def expect(self, names: Mapping[str, object]) -> None:
-        """The nodes of a roster that was not known yet."""
-        self._deaths |= self._names - names.keys()
-        self._names = frozenset(names)
+    def expect(self, roster: Roster) -> None:
+        """A roster that was not known yet."""
+        self._deaths |= self._names - roster.nodes.keys()
+        self._names = frozenset(roster.nodes)
+        self._rates, self._pairs = roster.rates, roster.pairs
         if not self._expected:
             self._expected = self._names
 
-    def message(self, line: Line, epoch: int, attempt: int) -> None:
-        """A message was recorded."""
+    def message(self, line: Line, epoch: int, attempt: int, drains: bool = False) -> None:
+        """A message was recorded; it `drains` where it says that at its epoch's end every node is done."""
         bit = self._bit(line)
         when = (epoch, attempt)
+        if drains:
+            self._drained = max(self._drained, epoch)
+        if self._rates is not None and when <= self._forgotten:
+            return  # it is said again
         if when not in self._heard:
             self._ages.append((self.clock(), when))
             self._forget()
@@ -103,7 +136,7 @@ class Ledger:
         if step.chain:
             self.last = max(self.last, step.epoch)
         needed: dict[Attempt, int] = {}
-        oldest = self._ages[0][1] if self._ages else (0, 0)
+        oldest = self._oldest
         for sent, kind, peer, epoch, attempt in step.passages:
             if not self.wants(epoch):
                 continue
@@ -142,10 +175,13 @@ class Ledger:
     def close(self, last: int | None = None) -> tuple[tuple[Gap, ...], int]:
         """What lacks, the first ones, and how much in all; all nodes are known to have done the last epoch, if any."""
         first = self.first
+        if self._rates is not None:  # only of an epoch that was drained is it known who has done it
+            last = self._drained if self._drained <= self.last else None
         for name in sorted(self._names if last is not None else ()):
-            told = self._told.get(name, 0)
-            if 0 < told < (last or 0):
-                self.add(Gap(told + 1, f"steps of {name} from here on", (last or 0) - told))
+            told, due = self._told.get(name, 0), self._due(name, last or 0)
+            if 0 < told < due:
+                count = due - told if self._rates is None else (due - told) // self._rates.turns_of(name).every
+                self.add(Gap(told + 1, f"steps of {name} from here on", max(count, 1)))
         for when in sorted(self._missing):
             self._report(when, first)
         self._missing.clear()
@@ -167,20 +203,39 @@ class Ledger:
 
     def _forget(self) -> None:
         oldest_s = self.clock() - PATIENCE_S
-        while len(self._ages) > 1 and self._ages[0][0] < oldest_s:
+        while len(self._ages) > 1 and self._ages[0][0] < oldest_s and not self._is_awaited(self._ages[0][1]):
             _, when = self._ages.popleft()
+            self._forgotten = max(when, self._forgotten)
             self._heard.pop(when, None)
             if when in self._missing:
                 self._report(when, self.first)
                 del self._missing[when]
             self._sent.pop(when, None)
 
+    @property
+    def _oldest(self) -> Attempt:
+        """The first attempt of which is known what was heard."""
+        if self._rates is not None:  # nodes are in different epochs, and so are the first messages
+            return (self._forgotten[0] + 1, 0) if self._forgotten[0] else (0, 0)
+        return self._ages[0][1] if self._ages else (0, 0)
+
+    def _is_awaited(self, when: Attempt) -> bool:
+        """With rates: whether a node that has told seldom may still tell of an epoch's messages."""
+        if self._rates is None or len(self._ages) > KEPT_ATTEMPTS:
+            return False
+        slowest = min((self._told.get(name, 0) for name in self._names), default=0)
+        return when[0] >= slowest - max(self._rates.delays.values(), default=0)
+
+    def _lies_before(self, when: Attempt, sender: str, first: int) -> bool:
+        """Whether it was said when the recording had not begun: with rates, before the sender's first step was told."""
+        if self._rates is None or self.from_start:
+            return not first or when[0] < first
+        return not first or when[0] <= self._first.get(sender, when[0])
+
     def _report(self, when: Attempt, first: int) -> None:
-        if not first or when[0] < first:
-            return  # of an epoch that the recording does not have as a whole
         missing, sent = self._missing[when], self._sent.get(when, 0)
         for (kind, sender, receiver), bit in self._bits.items():
-            if not missing & bit:
+            if not missing & bit or self._lies_before(when, sender, first):
                 continue
             gap = Gap(when[0], f"{kind} message {sender} -> {receiver} of attempt {when[1]}")
             if sender in self._deaths and not sent & bit:

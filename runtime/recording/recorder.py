@@ -29,7 +29,7 @@ from hierax.runtime.recording.topics import (
 from hierax.runtime.recording.writing import McapFile, Target
 from hierax.runtime.transport.port import Sample
 from hierax.schemas.keys import Keys
-from hierax.schemas.messages import HELLO, Header
+from hierax.schemas.messages import DRAIN, GREETING, HELLO, Header
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import decode_step
 from hierax.schemas.values import decode_value, encode_value
@@ -59,7 +59,7 @@ class Recorder:
         epochs: int | None = None,
     ) -> None:
         self.info = replace(info, left_out=tuple(selection.exclude))
-        self.checker = Checker(info.how_stale) if check else None
+        self.checker = Checker(info.how_stale, info.from_start) if check else None
         self.ledger = Ledger(info.from_start, epochs)
         self.cut = ""  # by which option of the selection nothing more is written
         self._selection = selection
@@ -68,6 +68,7 @@ class Recorder:
         self._begun_ns = self._newest = self._largest = self._bytes = self._mark = 0
         self._file = None if file is None else McapFile(file, self.info)
         self._barrier = info.how_stale.barrier
+        self._is_rated = False  # whether nodes have rates
         self._versions: set[int] = set()
         self._held: list[Entry] | None = None if info.from_start else []
         self._messages = self._held_bytes = 0
@@ -149,7 +150,7 @@ class Recorder:
         """Until every node has told of an epoch, it is not known with which one the recording begins. The epoch before
         that one is written, too: in it the nodes told the states with which this one begins."""
         held, self._held = self._held, None
-        first = self.ledger.first - 1 if self._barrier else 0
+        first = self.ledger.first - 1 if self._barrier and not self._is_rated else 0
         # no epoch is read before its roster
         for entry in sorted(held or (), key=lambda entry: entry.topic.what != ROSTER):
             if (not entry.epoch or entry.epoch >= first) and self.ledger.wants(entry.epoch):
@@ -199,9 +200,11 @@ class Recorder:
         seen, _ = glance(data)
         if seen.kind == HELLO:
             return -1
+        if seen.epoch == GREETING:
+            return 0
         wanted = self.ledger.wants(seen.epoch)
         if wanted:
-            self.ledger.message(seen.line, *seen.when)
+            self.ledger.message(seen.line, *seen.when, drains=DRAIN in seen.extensions)
         if self.checker is not None and (wanted or self.cut):
             self.checker.message(data)
         return seen.epoch
@@ -211,7 +214,8 @@ class Recorder:
         if roster.version in self._versions:
             return -1
         self._versions.add(roster.version)
-        self.ledger.expect(roster.nodes)
+        self._is_rated = roster.rates is not None
+        self.ledger.expect(roster)
         if self.checker is not None:
             self.checker.roster(roster)
         return 0

@@ -27,9 +27,11 @@ from hierax.runtime.loading.node_loader import NodeLoader, wait_for
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replayed_epoch import Exchange, ReplayedEpoch
-from hierax.runtime.recording.trace import EpochTrace
+from hierax.runtime.recording.told import LastTold, is_another
+from hierax.runtime.recording.trace import EpochTrace, taking_part
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.rates import EVERY_EPOCH, Turns
 from hierax.schemas.roster import Reference, Roster
 
 Rewrite = Callable[[Roster], Roster]  # what replays a roster in place of another: for other parameters or classes
@@ -57,6 +59,7 @@ class Replay:
         self._loaders: dict[str, NodeLoader] = {}
         self._digest = b""
         self._rewritten: dict[int, Roster] = {}
+        self._told = LastTold()
 
     def epochs(self) -> Iterator[ReplayedEpoch]:
         """Do the epochs again, from the first one before which all states are known; `HieraxError` if one cannot be."""
@@ -66,14 +69,17 @@ class Replay:
             if self.roster is not None and before is not None and not follows:
                 what = f"epoch {before.epoch + 1} is not recorded, and the next ones follow from it"
                 raise RecordingError(f"{self.recording.path}: {what}")
-            self._exchange.recall(recorded)
+            roster = self._roster_of(recorded)
+            self._exchange.recall(recorded, roster)
+            self._told.begin(recorded)
             if self.roster is None:
                 begins = recorded.epoch >= self.first and self._knows_start(recorded, before if follows else None)
             if self.roster is not None or begins:
-                replayed = self._do(recorded, before if follows else None)
+                replayed = self._do(recorded, roster, before if follows else None)
                 if replayed is None:
                     return
                 yield replayed
+            self._told.end(recorded)
             before = recorded
 
     def live(self, roster: Roster) -> tuple[str, ...]:
@@ -84,23 +90,30 @@ class Replay:
 
     # --- an epoch
 
-    def _do(self, recorded: EpochTrace, before: EpochTrace | None) -> ReplayedEpoch | None:
-        """Do an epoch again; None: the world, done again, has finished before it."""
+    def _roster_of(self, recorded: EpochTrace) -> Roster:
+        """The roster under which a recorded epoch is done."""
         roster = recorded.roster
-        if self.rewrite is not None:
-            if roster.version not in self._rewritten:
-                self._rewritten[roster.version] = self.rewrite(roster)
-            roster = self._rewritten[roster.version]
+        if self.rewrite is None:
+            return roster
+        if roster.version not in self._rewritten:
+            self._rewritten[roster.version] = self.rewrite(roster)
+        return self._rewritten[roster.version]
+
+    def _do(self, recorded: EpochTrace, roster: Roster, before: EpochTrace | None) -> ReplayedEpoch | None:
+        """Do an epoch again; None: the world, done again, has finished before it."""
         replayed = ReplayedEpoch(recorded, roster, recorded.time_s)
         live = self.live(roster)
         self._take_up(replayed, live, before)
         if roster.world in live and not self._begin_world(replayed):
             return None
-        # with the barrier, all have a part in the epoch, told or not
-        doing = [name for name in replayed.order if name in live and (self._barrier or name in recorded.nodes)]
+        # with the barrier, all whose turn it is have a part in the epoch, told or not
+        doing = set(taking_part(roster, recorded.epoch) if self._barrier else recorded.nodes).intersection(live)
         time_s = replayed.time_s if replayed.time_s is not None else 0.0
-        for name in doing:
-            self._sense(replayed, name, time_s)
+        for name in replayed.order:
+            if name in doing:
+                self._sense(replayed, name, time_s)
+            if name in doing or (name in live and roster.rates is not None):
+                self._send_up(replayed, name, time_s)
         digest = b""  # at last the world's, which all nodes are above
         for name in reversed(replayed.order):
             if name in doing:
@@ -130,9 +143,13 @@ class Replay:
         state = self.states[name] = sense(node, self.states[name], observations, epoch, time_s)
         if node.below:
             replayed.sensed[name] = state.belief
-        for upper, function in wiring.sense:
-            given = apply(function, epoch, time_s, state.belief)
-            self._exchange.give(replayed, (OBSERVATIONS, name, upper), given)
+
+    def _send_up(self, replayed: ReplayedEpoch, name: str, time_s: float) -> None:
+        epoch, rates = replayed.epoch, replayed.roster.rates
+        for upper, function in self.wirings[name].sense:
+            if rates is None or rates.is_sensed(name, upper, epoch):
+                given = apply(function, epoch, time_s, self.states[name].belief)
+                self._exchange.give(replayed, (OBSERVATIONS, name, upper), given)
 
     def _predict(self, replayed: ReplayedEpoch, name: str, time_s: float) -> bytes:
         """Do a node's prediction, and give its digest."""
@@ -179,21 +196,28 @@ class Replay:
             if name not in self._loaders or changed:
                 self._loaders[name] = NodeLoader(name, setting, self.allowance)
             self.wirings[name] = wiring = self._loaders[name].wiring(roster)
-            if name in self.states and (changed or _took_over(replayed.recorded, before, name)):
-                try:
-                    state = taken_over(wiring.node, encode_state(*self.states[name]))
-                except HieraxError as error:
-                    raise HieraxError(f"{name}: cannot take over the belief: {error}") from error
-                self.states[name] = replayed.starts[name] = state
+            told = self._told.states if before is None else {**before.nodes, **self._told.states}
+            took_over = name in told and is_another(replayed.recorded, told[name], name)
+            if name in self.states and (changed or took_over):
+                self._take_over(replayed, name)
             elif name not in self.states:
                 self.states[name] = self._first_state(replayed, name, wiring, before)
+
+    def _take_over(self, replayed: ReplayedEpoch, name: str) -> None:
+        try:
+            state = taken_over(self.wirings[name].node, encode_state(*self.states[name]))
+        except HieraxError as error:
+            raise HieraxError(f"{name}: cannot take over the belief: {error}") from error
+        self.states[name] = replayed.starts[name] = state
 
     def _first_state(self, replayed: ReplayedEpoch, name: str, wiring: Wiring, before: EpochTrace | None) -> ActiveNode:
         """The state with which a node begins: its initial one, or as it was recorded."""
         recorded = replayed.recorded
         known: ActiveNode | None = None
         if self.roster is None and recorded.epoch > 1:  # the replay begins here
-            known = recorded.start_of(name) or (None if before is None else before.state_of(name))
+            known = recorded.start_of(name) or self._told.state_of(name)
+            if known is None and before is not None:
+                known = before.state_of(name)
         if known is None:
             initial = wiring.node.initial_belief(0, 0.0)
             known = replayed.starts[name] = ActiveNode(initial, wiring.node.node.initial_policy)
@@ -208,20 +232,18 @@ class Replay:
             return True
         if self._barrier and recorded.lacking:
             return False
-
+        if recorded.roster.rates is not None:
+            return all(self._knows(recorded, name) for name in self.live(recorded.roster))
         return all(
             (before is not None and (name in before.nodes or name not in before.roster.nodes))
             or recorded.start_of(name) is not None
             for name in self.live(recorded.roster)
         )
 
-
-def _took_over(recorded: EpochTrace, before: EpochTrace | None, name: str) -> bool:
-    """Whether a node was replaced by its like: unlike a process that comes back it began with another state."""
-    if before is None or name not in recorded.nodes or name not in before.nodes:
-        return False
-    start = recorded.nodes[name].step.start
-    return bool(start) and start != before.nodes[name].step.state
+    def _knows(self, recorded: EpochTrace, name: str) -> bool:
+        """With rates: whether a node's state before an epoch is known, and what counts of earlier ones."""
+        begins = recorded.start_of(name) is not None or self._told.knows(name)
+        return begins and self._exchange.knows_inputs(recorded.roster, name, recorded.epoch)
 
 
 def has_actuators(roster: Roster, allowance: Allowance) -> bool:
@@ -290,9 +312,17 @@ def rewriting(old: Roster, new: Roster) -> Rewrite:
             for name, reference in roster.nodes.items()
         }
         edges = [new_edges.get(e.pair, e) if old_edges.get(e.pair) == e else e for e in roster.edges]
-        return replace(roster, nodes=nodes, edges=tuple(edges))
+        is_old = {name: _turns(roster, name) == _turns(old, name) and name in new.nodes for name in nodes}
+        turns = {name: _turns(new if is_old[name] else roster, name) for name in nodes}
+        turns = {name: each for name, each in turns.items() if each != EVERY_EPOCH}
+        timing = new.timing if roster.timing is None else roster.timing
+        return replace(roster, nodes=nodes, edges=tuple(edges), turns=turns, timing=timing)
 
     return rewrite
+
+
+def _turns(roster: Roster, name: str) -> Turns:
+    return roster.turns.get(name, EVERY_EPOCH)
 
 
 def check_names(recording: Recording, names: Iterable[str]) -> None:

@@ -55,7 +55,7 @@ def topic_of(key: str) -> Topic | None:
 
 
 def glance(data: bytes) -> tuple[Header, int]:
-    """A message's header but for its extensions, and where the payload begins; `SchemaError` if it begins otherwise."""
+    """A message's header, and where the payload begins; `SchemaError` if it begins otherwise."""
     unpacker = msgpack.Unpacker()
     unpacker.feed(data[:_GLANCED_BYTES])
     try:
@@ -63,10 +63,10 @@ def glance(data: bytes) -> tuple[Header, int]:
         unpack = unpacker.unpack
         unpack()  # the format
         code, *fields = unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack()
-        unpacker.skip()  # the extensions
-        if tuple(map(type, (code, *fields))) != _HEAD or min(code, *fields[2:6]) < 0:
+        extensions = unpack()
+        if tuple(map(type, (code, *fields, extensions))) != _HEAD or min(code, *fields[2:6]) < 0:
             raise ValueError("another one is not so typed")
-        return Header(KINDS[code], *fields), unpacker.tell()
+        return Header(KINDS[code], *fields, extensions), unpacker.tell()
     except (ValueError, TypeError, IndexError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message") from error
 
@@ -121,7 +121,7 @@ class Fault(NamedTuple):
 
 
 _GLANCED_BYTES = 4096
-_HEAD = (int, str, str, int, int, int, int, float, bytes)
+_HEAD = (int, str, str, int, int, int, int, float, bytes, dict)
 _WHOLE: dict[str, Any] = {"type": "integer", "minimum": 0}
 _TEXT: dict[str, Any] = {"type": "string"}
 _BOOLEAN: dict[str, Any] = {"type": "boolean"}

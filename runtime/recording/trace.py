@@ -1,6 +1,6 @@
 """Traces: what happened in each epoch, put together from what was heard in any order."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -12,7 +12,7 @@ from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, Entry, glance
 from hierax.schemas.checkpoint import decode_state
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message, decode_message
+from hierax.schemas.messages import CONTEXT, GREETING, OBSERVATIONS, TASKS, Message, decode_message
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep
 from hierax.schemas.values import decode_value
@@ -64,6 +64,7 @@ class EpochTrace:
     heard_ns: int = 0  # when the world told of it, since 1970; 0: it did not
     previous: bytes = b""  # digest, after the epoch before
     place: str = ""  # of the recording, for errors: `SchemaError` where a message is none
+    begun: Mapping[str, NodeTrace] = field(default_factory=dict)  # with rates: states of who came, and has a later turn
 
     def message(self, data: bytes) -> Message:
         try:
@@ -93,6 +94,8 @@ class EpochTrace:
 
     def start_of(self, name: str) -> ActiveNode | None:
         """A node's state at its beginning, where that was told."""
+        if name in self.begun:
+            return self.begun[name].state
         return self.nodes[name].start if name in self.nodes else None
 
     def used_of(self, name: str) -> Mapping[tuple[str, str], tuple[int, int]] | None:
@@ -109,14 +112,28 @@ class EpochTrace:
 
     @cached_property
     def lacking(self) -> tuple[str, ...]:
-        """What a barrier's epoch has and this one lacks, in words."""
-        lines: list[Line] = []
-        for lower, upper, task in ((edge.lower, edge.upper, edge.task) for edge in self.roster.edges):
-            lines += [(OBSERVATIONS, lower, upper), (CONTEXT, upper, lower)]
-            lines += [] if task is None else [(TASKS, upper, lower)]
-        lacking = [f"step of {name}" for name in sorted(self.roster.nodes.keys() - self.nodes.keys())]
-        unheard = [line for line in lines if self.attempt not in self.lines.get(line, {})]
+        """What an epoch has that does not overlap others, or by the rates, and this one lacks, in words."""
+        doing = taking_part(self.roster, self.epoch)
+        lacking = [f"step of {name}" for name in doing if name not in self.nodes]
+        unheard = [line for line in lines_of(self.roster, doing) if self.attempt not in self.lines.get(line, {})]
         return (*lacking, *(f"{kind} message {sender} -> {receiver}" for kind, sender, receiver in unheard))
+
+
+def taking_part(roster: Roster, epoch: int) -> tuple[str, ...]:
+    """The nodes of a roster that take part in an epoch, by name."""
+    rates = roster.rates
+    return tuple(name for name in sorted(roster.nodes) if rates is None or rates.takes_part(name, epoch))
+
+
+def lines_of(roster: Roster, doing: Collection[str]) -> list[Line]:
+    """Along which lines something is said in an epoch in which these nodes take part: upward along all."""
+    lines: list[Line] = []
+    for lower, upper, task in ((edge.lower, edge.upper, edge.task) for edge in roster.edges):
+        lines.append((OBSERVATIONS, lower, upper))
+        if upper in doing:
+            lines.append((CONTEXT, upper, lower))
+            lines += [] if task is None else [(TASKS, upper, lower)]
+    return lines
 
 
 def order_of(roster: Roster) -> tuple[str, ...]:
@@ -154,6 +171,7 @@ class Assembly:
         self._world = 0  # the last epoch of which the world has told
         self._next = 0
         self._digest = (0, NO_DIGEST)
+        self._instances: Mapping[str, int] | None = None  # of the last roster under which an epoch was done
 
     def take(self, entry: Entry) -> bool:
         """Take something in; whether epochs may be whole now. Raises `SchemaError` or `HierarchyError` if it is bad."""
@@ -164,6 +182,8 @@ class Assembly:
             return False
         if what == MESSAGE:
             seen, _ = glance(entry.data)
+            if seen.epoch == GREETING:
+                return False
             pending = self._at(seen.epoch)
             pending.lines.setdefault(seen.line, {})[seen.attempt] = entry.data
             pending.size += len(entry.data)
@@ -209,7 +229,21 @@ class Assembly:
         attempts = pending.steps.get(roster.world)
         # with its commit untold, nobody knows which attempt is the last one until the next epoch is told of
         done = (self._next, max(attempts)) if attempts else (self._next + 1, 0)
-        return all(self._told.get(name, (0, 0)) >= done for name in roster.nodes)
+        doing = taking_part(roster, self._next)
+        if roster.rates is not None and any(line not in pending.lines for line in lines_of(roster, doing)):
+            done = (roster.rates.reach + self._next, 0)  # nobody says anything of this epoch any more
+            doing = tuple(roster.nodes)
+        coming = self._coming(roster, self._next)
+        is_there = all(self._told.get(name, (0, 0)) >= (turn, 0) for name, turn in coming.items())
+        return is_there and all(self._told.get(name, (0, 0)) >= done for name in doing)
+
+    def _coming(self, roster: Roster, epoch: int) -> Mapping[str, int]:
+        """With rates: the nodes that have another process than before, and the later turns in which these tell it."""
+        rates, before = roster.rates, self._instances
+        if rates is None or before is None or before == roster.instances:
+            return {}
+        others = [name for name in roster.nodes if roster.instance(name) != before.get(name, 0)]
+        return {name: rates.next_turn(name, epoch) for name in others if not rates.takes_part(name, epoch)}
 
     def _roster(self, pending: _Pending) -> Roster | None:
         versions = [step.roster for steps in pending.steps.values() for step in steps.values()]
@@ -228,14 +262,17 @@ class Assembly:
             if step is not None and name in roster.nodes:
                 nodes[name] = NodeTrace(step, self._place)
         one = next((trace.step for trace in nodes.values()), None)
-        for name in roster.nodes.keys() - nodes.keys():
-            later = self._state_from(name, epoch + 1)
+        for name in [name for name in taking_part(roster, epoch) if name not in nodes]:
+            later = self._state_from(name, epoch + 1 if roster.rates is None else roster.rates.next_turn(name, epoch))
             if later is not None and one is not None and self._barrier:
                 taken = later._replace(epoch=epoch, attempt=attempt, roster=roster.version, time_s=one.time_s)
                 nodes[name] = NodeTrace(taken, self._place)
+        coming = {name: self._state_from(name, turn) for name, turn in self._coming(roster, epoch).items()}
+        begun = {name: NodeTrace(step, self._place) for name, step in coming.items() if step is not None}
+        self._instances = roster.instances
         digest = (world[attempt].chain if world else b"") or pending.digest
         previous = self._digest[1] if self._digest[0] == epoch - 1 else b""
-        told = (pending.lines, digest, pending.heard_ns, previous, self._place)
+        told = (pending.lines, digest, pending.heard_ns, previous, self._place, begun)
         return EpochTrace(epoch, attempt, roster, dict(sorted(nodes.items())), *told)
 
     def _state_from(self, name: str, epoch: int) -> NodeStep | None:

@@ -7,10 +7,9 @@ from secrets import token_hex
 
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import Message
+from hierax.schemas.messages import GREETING, Message
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage, encode_step
 from hierax.schemas.values import Value, encode_value
@@ -51,23 +50,24 @@ class Witness(Watcher):
 
     def received(self, message: Message) -> None:
         header = message.header
-        self._passages.append(Passage(False, header.kind, header.sender, header.epoch, header.attempt))
+        self._passed(Passage(False, header.kind, header.sender, header.epoch, header.attempt))
 
     def sent(self, message: Message) -> None:
         header = message.header
         if self.roster is not None and header.roster != self._told_version:
             self._publish_roster(self.roster())
-        self._passages.append(Passage(True, header.kind, header.receiver, header.epoch, header.attempt))
+        self._passed(Passage(True, header.kind, header.receiver, header.epoch, header.attempt))
+
+    def _passed(self, passage: Passage) -> None:
+        if passage.epoch != GREETING:
+            self._passages.append(passage)
 
     def predicted(self, completed: Completed) -> None:
         """Here the engine is still in its epoch; when that is told as completed, no more."""
         engine = self.engine()
         if engine is None:
             return
-        used: _Used = ()
-        if isinstance(engine, StaleEngine):
-            used = tuple((sender, kind, *when) for (sender, kind), when in sorted(engine.used.items()))
-        wiring = engine.wiring
+        wiring, used = engine.wiring, tuple(engine.used)
         start = engine.encoded_start if self._fresh else b""
         self._fresh = False
         self._begun[completed.step.epoch, completed.step.attempt] = (wiring.roster, wiring.instance, start, used)

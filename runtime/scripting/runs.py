@@ -286,7 +286,6 @@ def run(
         deployment, target, folder = _prepared(stack, what, epochs, seed, settings, output, record, overwrite)
         recording = None
         if target is not None:
-            deployment.refuse_rates("a recording")
             info = RunInfo.of(deployment, token_hex(4), "run", seed, settings, from_start=True)
             recording = InProcess(Recorder(info, target, False, EVERYTHING))
             stack.callback(recording.finish)

@@ -22,13 +22,13 @@ from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.engine.effects import Saved
-from hierax.runtime.engine.stale import DRAIN, StaleEngine
+from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.transport.port import MemoryNetwork
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
+from hierax.schemas.messages import CONTEXT, DRAIN, OBSERVATIONS, TASKS, Message
 
 ROSTER_HASH = bytes(range(32))
 BREAKS = 30

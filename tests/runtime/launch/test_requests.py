@@ -30,7 +30,6 @@ def asked(terms: dict[str, Any], name: str = "big", staleness: Staleness = BARRI
 
     deployment = SimpleNamespace(
         allowance=SimpleNamespace(check_all=lambda change: None),
-        refuse_rates=lambda whose: None,
         staleness=staleness,
         roster=SimpleNamespace(world="world"),
     )

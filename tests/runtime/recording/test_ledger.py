@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hierax.runtime.recording.ledger import PATIENCE_S, Ledger
+from hierax.schemas.roster import Reference, Roster, RosterEdge
 from hierax.schemas.steps import NodeStep, Passage
 
 STATE = b""
@@ -10,6 +11,13 @@ STATE = b""
 
 def step(name: str, number: int, epoch: int, *passages: Passage, stream: str = "s", chain: bytes = b"") -> NodeStep:
     return NodeStep(name, f"{name}-{stream}", number, epoch, 0, 0, 0, 0.0, b"", STATE, passages=passages, chain=chain)
+
+
+def roster_of(*names: str, **edge: object) -> Roster:
+    """A roster of these nodes, the first one below the second where something is said of their edge."""
+    nodes = {name: Reference("some.module:Node") for name in names}
+    edges = (RosterEdge(names[0], names[1], **edge),) if edge else ()  # type: ignore[arg-type]
+    return Roster(names[0], nodes, edges)
 
 
 def sent(peer: str, epoch: int, attempt: int = 0) -> Passage:
@@ -68,7 +76,7 @@ def test_what_a_dead_process_was_sending_is_cut_short() -> None:
 
 def test_a_node_that_does_not_tell_to_the_end_is_named() -> None:
     ledger = Ledger(from_start=True)
-    ledger.expect({"a": 0, "b": 0})
+    ledger.expect(roster_of("a", "b"))
     ledger.step(step("a", 1, 1, chain=b"x"))
     ledger.step(step("a", 2, 2, chain=b"x"))
     ledger.step(step("b", 1, 1))
@@ -79,7 +87,7 @@ def test_a_node_that_does_not_tell_to_the_end_is_named() -> None:
 def test_what_was_told_of_epochs_after_the_last_one_that_is_wanted_is_not_missed() -> None:
     """A node may be an epoch ahead of the world, or more has come in, before it is known where a recording ends."""
     ledger = Ledger(from_start=True)
-    ledger.expect({"a": 0, "b": 0})
+    ledger.expect(roster_of("a", "b"))
     ledger.message(("obs", "a", "b"), 37, 0)
     ledger.step(step("a", 1, 37, sent("b", 37), sent("b", 38)))
     ledger.step(step("a", 2, 38, sent("b", 38), chain=b"x"))
@@ -94,9 +102,9 @@ def test_what_was_told_of_epochs_after_the_last_one_that_is_wanted_is_not_missed
 
 def test_who_has_left_is_not_waited_for() -> None:
     ledger = Ledger(from_start=True)
-    ledger.expect({"a": 0, "b": 0})
+    ledger.expect(roster_of("a", "b"))
     ledger.step(step("b", 1, 1))
-    ledger.expect({"a": 0})
+    ledger.expect(roster_of("a"))
     ledger.step(step("a", 1, 2))
     ledger.end(2)
     assert ledger.complete
@@ -118,7 +126,7 @@ def test_steps_are_counted_in_their_stream() -> None:
 
 def test_a_node_that_told_nothing_is_named() -> None:
     ledger = Ledger(from_start=True)
-    ledger.expect({"a": 0, "b": 0})
+    ledger.expect(roster_of("a", "b"))
     ledger.step(step("a", 1, 1))
     gaps, lost = ledger.close()
     assert (lost, gaps[0].what) == (1, "all steps of b")
@@ -126,7 +134,7 @@ def test_a_node_that_told_nothing_is_named() -> None:
 
 def test_begun_in_the_middle_it_counts_from_the_first_whole_epoch() -> None:
     ledger = Ledger(from_start=False)
-    ledger.expect({"a": 0, "b": 0})
+    ledger.expect(roster_of("a", "b"))
     ledger.step(step("a", 7, 10, got("b", 10)))
     assert ledger.first == 0
     ledger.step(step("b", 3, 11, sent("a", 11)))
