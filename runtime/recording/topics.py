@@ -63,10 +63,10 @@ def glance(data: bytes) -> tuple[Header, int]:
         unpack = unpacker.unpack
         unpack()  # the format
         code, *fields = unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack()
-        extensions = unpack()
-        if tuple(map(type, (code, *fields, extensions))) != _HEAD or min(code, *fields[2:6]) < 0:
+        fields.append(unpack())  # the extensions
+        if tuple(map(type, (code, *fields))) != _HEAD or min(code, *fields[2:6]) < 0:
             raise ValueError("another one is not so typed")
-        return Header(KINDS[code], *fields, extensions), unpacker.tell()
+        return Header(KINDS[code], *fields), unpacker.tell()
     except (ValueError, TypeError, IndexError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message") from error
 
