@@ -32,7 +32,7 @@ from support.attacks import attacked, order_for  # noqa: E402
 from support.live import Live  # noqa: E402
 
 from hierax.runtime.host.run_folder import run_folder  # noqa: E402
-from hierax.runtime.host.run_secret import authority_of, new_secret, token_of  # noqa: E402
+from hierax.runtime.host.run_secret import certificates_of, new_secret, token_of  # noqa: E402
 
 ALLOWED_BYTES = 50 << 20
 _OFTEN = re.compile(r"no (key|certificate) of this run(?: \((\d+) times by now\))?")
@@ -81,13 +81,13 @@ def encrypted(folder: Path, options: Options) -> Iterator[Row]:
     """A launch that other machines may join."""
 
     def secrets(live: Live, other: str, old: str) -> Secrets:
-        token, authority = token_of(live.secret), authority_of(live.secret)
+        token, authority = token_of(live.secret), certificates_of(live.secret)
         return {
             "no certificate": None,
             "the password alone": token,
             "another run's certificate and password": other,
             "an old run's certificate and password": old,
-            "another run's certificate": f"{token}\n{authority_of(other)}",
+            "another run's certificate": f"{token}\n{certificates_of(other)}",
             "another run's password": f"{token_of(other)}\n{authority}",
         }
 

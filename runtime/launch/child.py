@@ -301,7 +301,7 @@ async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing, f
     children = [Child(order, process, overheard) for order in orders]
     for child in children if len(children) > 1 else ():
         child.mates = children
-    await children[0].say([order.plain() for order in orders])
+    await children[0].say([order.admitted().plain() for order in orders])
     return children
 
 

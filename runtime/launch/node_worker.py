@@ -37,7 +37,7 @@ from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.bus_tap import StepPublisher
-from hierax.runtime.transport.control import OWNER, ControlLine, InspectionEndpoint
+from hierax.runtime.transport.control import ControlLine, InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.shared_arrays import SharedArrays
 from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
@@ -68,6 +68,7 @@ class NodeWorker:
 
     def __init__(self, order: frames.NodeOrder, status: int, wait: Waiter, home: ProcessHome) -> None:
         self._order = order  # from the supervisor
+        self._keys = Keys(order.deployment, order.run)
         self._home = home  # the process, which may have other nodes
         self._wait = wait  # drives async operators
         self._stopping = threading.Event()
@@ -149,7 +150,7 @@ class NodeWorker:
         if self._port is not None:
             self._port.answered()
         if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
-            self._line.send(OWNER, member.status(control.inquiry, self.busy()))
+            self._say(member.status(control.inquiry, self.busy()))
         elif not self._words.put(control, size):
             _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
 
@@ -235,7 +236,7 @@ class NodeWorker:
         self._opens_s = time.monotonic()
         session = self._home.session(order)
         most_bytes = LOW_LATENCY_BYTES if order.low_latency else None
-        keys = Keys(order.deployment, order.run)
+        keys = self._keys
         if most_bytes is None and allows_shared_memory(order.settings):
             self._shared = SharedArrays()
         with self._home.declaring:
@@ -280,9 +281,9 @@ class NodeWorker:
         order = self._order
         is_world = order.owner is not None
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
-        self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
+        self._line = ControlLine(session, keys.control(order.process), offered, self.hear, most_bytes)
         if is_world:
-            self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
+            self._owners_line = ControlLine(session, keys.words("*"), get_args(Word), self.hear, most_bytes)
         self._publisher = StepPublisher(session, keys, order.name)
         endpoint = InspectionEndpoint(session, keys, order.name)
         self._declared += (self._line, self._publisher, endpoint)
@@ -322,7 +323,7 @@ class NodeWorker:
     def _begin(self, seat: Seat, port: ZenohPort, slots: Slots) -> Member:
         """Come into the run; the member has a part in it where `_member` is set."""
         order = self._order
-        member = Member(seat, lambda word: self._line.send(OWNER, word), Checkpoints(slots))
+        member = Member(seat, self._say, Checkpoints(slots))
         if order.life == frames.TO_REPORT and order.roster is not None:
             member.recall(seat.wire(order.roster))
             return member
@@ -370,7 +371,11 @@ class NodeWorker:
         if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
             self._pipe.dismiss(process, word)
         else:
-            self._line.send(process, word)
+            self._line.send(self._keys.control(process), word)
+
+    def _say(self, word: Control) -> None:
+        """Tell the owner something."""
+        self._line.send(self._keys.words(self._order.name), word)
 
     def _connect(self, port: ZenohPort, wiring: Wiring) -> bool:
         """Open the links to the neighbours; whether that was before the run was stopped."""

@@ -5,8 +5,10 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from hierax.runtime.launch.frames import NodeOrder
+from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.shared_process import Neighbours
 from hierax.runtime.transport.zenoh_session import close_session, endpoint_at, open_session
+from hierax.schemas.keys import Keys
 
 
 class ProcessHome:
@@ -29,8 +31,11 @@ class ProcessHome:
         with self._opening:
             if self._session is None:
                 listen, low_latency = [endpoint_at(order.host, order.secret)], order.low_latency
+                access = None
+                if order.access is not None:
+                    access = access_control(Keys(order.deployment, order.run), order.access)
                 self._session = open_session(
-                    listen, [order.hub], order.settings, low_latency=low_latency, secret=order.secret
+                    listen, [order.hub], order.settings, low_latency=low_latency, secret=order.secret, access=access
                 )
             return self._session
 

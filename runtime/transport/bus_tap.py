@@ -9,9 +9,12 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.control import SUPERVISOR, answers_on
+from hierax.runtime.host.run_secret import certificates_of
+from hierax.runtime.transport.access_control import access_control
+from hierax.runtime.transport.control import answers_on
 from hierax.runtime.transport.port import Sample, TransportError
-from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, endpoint_at, open_session
+from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
+from hierax.schemas.access import READER, Access
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import is_lent
@@ -84,18 +87,20 @@ class BusTap:
     """A recorder's end: takes in all that is said in a run as it comes, and keeps it until it is asked for.
 
     A thread of its own takes samples in, so that nobody waits for the disk; shared memory is copied at once. What the
-    queue cannot hold is dropped, and told by `dropped`. Raises `TransportError` if the hub cannot be reached.
+    queue cannot hold is dropped, and told by `dropped`. It listens at no address, so from another machine it reaches a
+    run that cannot reach it. Raises `TransportError` if the hub cannot be reached.
     """
 
     def __init__(
         self,
         endpoint: str,  # of the run's hub
         keys: Keys,  # of the run
+        access: Access,  # who has roles of their own in the run
         zenoh_config: ZenohConfig = None,  # Zenoh's own configuration
-        host: str | None = None,  # address of this machine at which others may link; None: this machine's only
         secret: str = "",  # of the run; empty: it is open
     ) -> None:
-        self._session = open_session((endpoint_at(host, secret),), (endpoint,), zenoh_config, secret=secret)
+        listed = access_control(keys, access) if certificates_of(secret) else None
+        self._session = open_session((), (endpoint,), zenoh_config, secret=secret, role=READER, access=listed)
         self._keys = keys
         self._queue: deque[Sample] = deque()
         self._waiting = 0
@@ -129,7 +134,7 @@ class BusTap:
     def ask(self, question: Value, timeout_s: float = ANSWER_TIMEOUT_S) -> Value:
         """Ask the launch's supervisor something, in the session that listens; None: it does not answer."""
         try:
-            answers = answers_on(self._session, self._keys.control(SUPERVISOR), question, timeout_s)
+            answers = answers_on(self._session, self._keys.launch, question, timeout_s)
             return next((answer for _, answer in answers), None)
         except (zenoh.ZError, SchemaError):
             return None

@@ -17,9 +17,11 @@ import zenoh
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.transport.control import SUPERVISOR, answers_on
+from hierax.runtime.transport.access_control import launch_alone
+from hierax.runtime.transport.control import CHANGES, answers_on
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, address_of, close_session, open_session
+from hierax.schemas.access import OPERATOR
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys, is_name
 from hierax.schemas.roster import Change, Roster
@@ -109,7 +111,9 @@ class LaunchClient:
         self.endpoint = endpoint  # of the hub
         self._keys = keys  # of the run; None: they are found out, which fails where several answer
         try:  # a client, as the processes of the run would link to a peer
-            self._session = open_session((), [endpoint], zenoh_config, False, "client", secret=secret)
+            self._session = open_session(
+                (), [endpoint], zenoh_config, False, "client", secret=secret, role=OPERATOR, access=launch_alone()
+            )
         except TransportError as error:
             what = f"{error}{_hint(endpoint, secret)}"
             raise TransportError(f"the launch at {endpoint} cannot be reached: {what}") from error
@@ -123,7 +127,8 @@ class LaunchClient:
     def ask(self, question: Value, timeout_s: float = 60.0) -> Answer:
         """What the supervisor answers (see `launch.requests`). Raises `AnswerError` if it refuses."""
         patience = time.monotonic() + FIND_TIMEOUT_S
-        key = self.keys().control(SUPERVISOR)
+        changes = isinstance(question, dict) and question.get("ask") in CHANGES
+        key = self.keys().changes if changes else self.keys().launch
         while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
             for _, answer in self._get(key, question, timeout_s):
                 if not isinstance(answer, dict):
@@ -242,7 +247,7 @@ class LaunchClient:
         patience = time.monotonic() + FIND_TIMEOUT_S
         while time.monotonic() < patience:
             found: set[tuple[str, str]] = set()
-            for key, answer in self._get(Keys("*", "*").control(SUPERVISOR), {"ask": "ps"}, FOUND_TIMEOUT_S):
+            for key, answer in self._get(Keys("*", "*").launch, {"ask": "ps"}, FOUND_TIMEOUT_S):
                 hierarchy, run = key.split("/")[1:3]
                 if isinstance(answer, dict) and (answer.get("hierarchy"), answer.get("run")) == (hierarchy, run):
                     found.add((hierarchy, run))
