@@ -28,7 +28,6 @@ class Grants(NamedTuple):
 
     says: tuple[str, ...] = ()  # put, and delete
     hears: tuple[str, ...] = ()  # subscribe
-    unheard: tuple[str, ...] = ()  # what nobody passes on to it all the same
     asks: tuple[str, ...] = ()  # ask questions, and be answered
     asked: tuple[str, ...] = ()  # be asked
     answers: tuple[str, ...] = ()  # offer answers, and give them
@@ -106,12 +105,8 @@ def of_launch(keys: Keys) -> Grants:
 
 
 def of_reader(keys: Keys) -> Grants:
-    """What tools may that only look: hear all but what the roster's owner and processes tell one another, and ask."""
-    return Grants(
-        hears=(keys.everything,),
-        unheard=(keys.control(_ANY), keys.words(_ANY)),
-        asks=(keys.look(_ANY), keys.launch, _any_launch()),
-    )
+    """What tools may that only look."""
+    return Grants(hears=(keys.everything,), asks=(keys.look(_ANY), keys.launch, _any_launch()))
 
 
 def of_operator(keys: Keys) -> Grants:

@@ -47,7 +47,10 @@ def certificates_of(secret: str) -> str:
 
 
 def pems_of(secret: str) -> tuple[str, str, str]:
-    """Of a secret of one role: the authority's certificate, the role's, and the private key of that."""
+    """Of a secret of one role: the authority's certificate, the role's, and the private key of that. Raises
+    `HieraxError` if it has none."""
+    if not is_secret(secret) or may_issue(secret):
+        raise HieraxError("the key of the run holds no certificate and private key that can be read")
     _, root, rest = certificates_of(secret).split(_CERTIFICATE)
     shown, begins, private = rest.partition(_PRIVATE_KEY)
     return f"{_CERTIFICATE}{root}", f"{_CERTIFICATE}{shown}", f"{begins}{private}"
@@ -68,6 +71,16 @@ def issued(secret: str, role: str, addresses: Sequence[str] = (), until: datetim
     from hierax.runtime.host.run_certificates import certificates
 
     return f"{token_of(secret)}\n{certificates(certificates_of(secret), role, addresses, until)}"
+
+
+def whose(secret: str) -> tuple[str, datetime] | None:
+    """The role that a secret is for, and until when; None: it is the run's own, for all. Raises `HieraxError` if it
+    cannot be read."""
+    if not certificates_of(secret) or may_issue(secret):
+        return None
+    from hierax.runtime.host.run_certificates import role_of
+
+    return role_of(certificates_of(secret))
 
 
 def key_text(secret: str) -> bytes:

@@ -66,8 +66,6 @@ def _rules(name: str, grants: Grants) -> Iterator[Rule]:
         keys = getattr(grants, field)
         if keys:
             yield _rule(f"{name} {field}", way, messages, keys)
-    if grants.unheard:
-        yield _rule(f"{name} unheard", _OUT, _PUT, grants.unheard, "deny")
 
 
 def _forbidden(nodes: Sequence[Grants]) -> Iterator[Rule]:

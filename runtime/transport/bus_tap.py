@@ -151,8 +151,9 @@ class BusTap:
             except zenoh.ZError:
                 break  # the session is closed
             data = b"" if sample is None else sample.payload.to_bytes()
-            if sample is not None and not _is_lent(data):
-                self._add(Sample(time.time_ns(), str(sample.key_expr), data))
+            key = "" if sample is None else str(sample.key_expr)
+            if key and "*" not in key and not _is_lent(data):  # what is said on many keys at once, no node has said
+                self._add(Sample(time.time_ns(), key, data))
         with self._changed:
             self._closed = True
             self._changed.notify()
