@@ -61,14 +61,15 @@ class Access:
 
     def role_of(self, name: str, process: str = "") -> str:
         """The role of a node's process, or of the one that it shares with others."""
-        if process in self.processes and name in self.processes[process]:
+        together = self.processes.get(process, ())
+        if name in together and len(together) > 1:
             return _role("process", process)
         return _role("node", name) if name in self.names else LATER
 
     def nodes_by_role(self) -> dict[str, tuple[str, ...]]:
         """The nodes that a role has. One that has shared a process may come back alone."""
         alone = {_role("node", name): (name,) for name in self.names}
-        return alone | {_role("process", process): names for process, names in self.processes.items()}
+        return alone | {_role("process", each): names for each, names in self.processes.items() if len(names) > 1}
 
 
 def _role(what: str, name: str) -> str:
