@@ -235,6 +235,9 @@ class FarChild(Child):
         )
         return there.admitted()
 
+    def renewed_secret(self) -> str:
+        return self.far_order(self._far.host, self._far.greeting).secret
+
     def take(self, value: Mapping[str, Any]) -> bool:
         status = value["status"]
         if status == KEEP:

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from secrets import token_hex
 
@@ -58,6 +59,9 @@ BEAT = "beat"  # status of the world, again and again and when its roster change
 MISSES = "misses"  # status: the link to a process broke, and it has not come back
 NOTE = "note"  # status of the world: people should know
 
+RENEW = "renew"  # command, a map: go on with another certificate, which is in this secret
+RENEWED = "renewed"  # status: the process has done so
+
 KEEP = "keep"  # status of a process on another host: a record for its checkpoint, which the supervisor has
 KEPT = "kept"  # command, a map: all records up to this number are where they outlive the process
 LOG = "log"  # status of such a process: a line for its log
@@ -98,6 +102,7 @@ class NodeOrder:
     hub: str  # endpoint of the supervisor, through which the processes find one another
     host: str  # address of the process's machine at which others may link; empty: this machine's processes only
     secret: str = field(default="", repr=False)  # of the run, or as `admitted` gives it; empty: it is open
+    lifetime_s: float | None = None  # how long its certificate holds; None: as long as the run
     access: Access | None = (
         None  # who has roles of their own in the run; None: links are not encrypted, and all may all
     )
@@ -133,7 +138,8 @@ class NodeOrder:
         if self.access is None:
             return self
         role = self.access.role_of(self.name, self.shares)
-        return replace(self, secret=issued(self.secret, role, [self.host or OWN_ADDRESS]))
+        until = None if self.lifetime_s is None else datetime.now(timezone.utc) + timedelta(seconds=self.lifetime_s)
+        return replace(self, secret=issued(self.secret, role, [self.host or OWN_ADDRESS], until))
 
     def plain(self) -> Value:
         return {

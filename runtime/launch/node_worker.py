@@ -40,7 +40,7 @@ from hierax.runtime.transport.bus_tap import StepPublisher
 from hierax.runtime.transport.control import ControlLine, InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.shared_arrays import SharedArrays
-from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
+from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES, allows_shared_memory
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget
@@ -67,7 +67,7 @@ class NodeWorker:
     """Takes one node from its order to its report. `status`: file descriptor on which the supervisor listens."""
 
     def __init__(self, order: frames.NodeOrder, status: int, wait: Waiter, home: ProcessHome) -> None:
-        self._order = order  # from the supervisor
+        self.order = self._order = order  # from the supervisor
         self._keys = Keys(order.deployment, order.run)
         self._home = home  # the process, which may have other nodes
         self._wait = wait  # drives async operators
@@ -76,6 +76,7 @@ class NodeWorker:
         self._kept = None if order.slots is None else KeptElsewhere(order.slots, self._pipe)
         self._port: ZenohPort | None = None
         self._declared: list[ControlLine | StepPublisher | InspectionEndpoint] = []
+        self._also_moved: list[ControlLine | EpochPublisher] = []  # the world's, whose node leaves no process
         self._shared: SharedArrays | None = None
         self._member: Member | None = None
         self._world: WorldMember | None = None
@@ -134,6 +135,21 @@ class NodeWorker:
     def log(self) -> logging.Handler | None:
         """What takes the process's log, where the supervisor is on another host; None: a file here."""
         return None if self._kept is None else ToldRecords(self._pipe)
+
+    def move(self, session: Any, timeout_s: float) -> bool:
+        """Have the node go on in another session, between two messages; whether it has before a time is over."""
+        loop, moved = self._loop, threading.Event()
+
+        def move() -> None:
+            with self._home.declaring:
+                for each in (self._port, *self._declared, *self._also_moved):
+                    if each is not None:
+                        each.move(session)
+            moved.set()
+
+        if loop is not None:
+            loop.send_on(move)
+        return loop is not None and moved.wait(timeout_s)
 
     def begin(self, processes: Mapping[str, str]) -> None:
         """Have the world begin the run: all processes are up, these by node."""
@@ -263,7 +279,8 @@ class NodeWorker:
         try:
             if order.owner is not None:
                 with self._home.declaring:
-                    publish = epoch_publisher(session, keys)
+                    publish = EpochPublisher(session, keys)
+                self._also_moved.append(publish)
                 pacemaker = pacemaker_of(order, publish, self._pipe)
                 member = self._begin_world(order.owner, seat, port, slots, pacemaker)
             else:
@@ -283,7 +300,7 @@ class NodeWorker:
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
         self._line = ControlLine(session, keys.control(order.process), offered, self.hear, most_bytes)
         if is_world:
-            self._owners_line = ControlLine(session, keys.words("*"), get_args(Word), self.hear, most_bytes)
+            self._also_moved.append(ControlLine(session, keys.words("*"), get_args(Word), self.hear, most_bytes))
         self._publisher = StepPublisher(session, keys, order.name)
         endpoint = InspectionEndpoint(session, keys, order.name)
         self._declared += (self._line, self._publisher, endpoint)

@@ -113,6 +113,7 @@ class Orders:
             host=self.options.host or "",
             secret=self.secret,
             access=self.access if certificates_of(self.secret) else None,
+            lifetime_s=deployment.certificates_s,
             settings=deployment.zenoh,
             low_latency=deployment.low_latency,
             output="" if self.options.output is None else str(self.options.output),
@@ -179,7 +180,7 @@ class Orders:
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""
         own = replace(order, output="", checkpoint="", import_paths=(), settings=None, probes=())
-        own = replace(own, host=host, elsewhere=True)
+        own = replace(own, host=host, elsewhere=True, lifetime_s=None)  # nothing that is new would come there
         return replace(own, secret="") if own.access is None else own.admitted()  # who keeps it has the secret
 
     def terms(self, name: str) -> ProcessTerms:

@@ -28,6 +28,7 @@ from hierax.runtime.launch.hosts import Hosts, Reached, reached
 from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError, access_of
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
+from hierax.runtime.launch.renewal import renew_again_and_again
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, register, warning_of
@@ -268,6 +269,9 @@ class Supervisor:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
             self._start_s = time.perf_counter() - begun_s
             self._tasks.start_soon(self._processes.watch_world)
+            self._tasks.start_soon(
+                renew_again_and_again, self._processes, self._deployment.certificates_s, self._notify
+            )
             await self._processes.finished.wait()
 
     async def _collect(self) -> None:

@@ -24,6 +24,8 @@ CHANNEL_SIZE = 4096  # how many samples wait for the thread that takes them in; 
 QUEUE_BYTES = 512 << 20  # how much may wait for the disk; what is more is dropped, counted and named
 
 ANSWER_TIMEOUT_S = 2.0
+KNOWN_S = 2.0  # how long it may take until who listens is known in another session
+LOOK_S = 0.01
 
 BATCH_BYTES = 16 << 20  # with so much there is nothing to wait for
 
@@ -34,17 +36,26 @@ class StepPublisher:
     """A node's end: tells steps and rosters while somebody listens, and nothing else."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
+        self._keys, self._name = keys, name
         self._changed = threading.Event()
+        self.heard = False  # whether somebody listens
+        self.move(session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Tell them in an open session, as soon as who listens is known there."""
 
         def publisher(key: str) -> Any:
             return session.declare_publisher(
                 key, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.DATA
             )
 
-        self._steps = publisher(keys.steps(name))
-        self._roster = publisher(keys.roster)
-        self._listener = self._steps.declare_matching_listener(self._on_matching)
-        self.heard = bool(self._steps.matching_status.matching)  # whether somebody listens
+        steps = publisher(self._keys.steps(self._name))
+        until_s = time.monotonic() + KNOWN_S
+        while self.heard and not steps.matching_status.matching and time.monotonic() < until_s:
+            time.sleep(LOOK_S)
+        self._steps, self._roster = steps, publisher(self._keys.roster)
+        self._listener = steps.declare_matching_listener(self._on_matching)
+        self.heard = bool(steps.matching_status.matching)
 
     def wait(self, timeout_s: float) -> bool:
         if not self.heard:

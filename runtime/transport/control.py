@@ -77,10 +77,16 @@ class InspectionEndpoint:
     """A node's end of what tools see of a launch (theirs is `LaunchClient`): takes questions in, shows what it says."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
-        self._session = session  # an open session
+        self._name = name
         self._keys = keys  # of the run
         self._questions: deque[tuple[Value, Reply]] = deque(maxlen=QUESTIONS)
-        self._queryable = answer_questions(session, keys.look(name), lambda *asked: self._questions.append(asked))
+        self.move(session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Take questions in, and show things, in an open session."""
+        key = self._keys.look(self._name)
+        self._queryable = answer_questions(session, key, lambda *asked: self._questions.append(asked))
+        self._session = session
 
     def questions(self) -> Iterator[tuple[Value, Reply]]:
         """What was asked since the last time, each with what gives the answer."""
@@ -116,7 +122,12 @@ class ControlLine:
     most_bytes: int | None = None  # what the session's links carry; None: any. Longer ones are not sent, and logged
 
     def __post_init__(self) -> None:
-        self._subscriber: Any = self.session.declare_subscriber(self.key, self._on_sample)
+        self.move(self.session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Go on in a session: what was heard in the one before is heard there until that is closed."""
+        self._subscriber: Any = session.declare_subscriber(self.key, self._on_sample)
+        self.session = session
 
     def send(self, key: str, control: Control) -> None:
         """Send a message to who is told things on a key; any thread may call it."""

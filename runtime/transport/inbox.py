@@ -49,6 +49,13 @@ class Inbox:
         self._blind = 0  # in how many of the next waits nothing is looked for
         self._blinded = LEAST_BLIND  # in how many it was last
 
+    def move(self, subscriber: zenoh.Subscriber[Any]) -> None:
+        """Take messages from another queue from now on, after those that are in the one before."""
+        with self._taking:
+            while (sample := self._subscriber.try_recv()) is not None:
+                self._keep(sample, _bytes(sample))
+            self._subscriber = subscriber
+
     def interrupt(self) -> None:
         """Have the node's thread look at something else than messages; any thread may, and none waits for long."""
         self.interrupted = True

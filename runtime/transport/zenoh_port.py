@@ -93,17 +93,39 @@ class ZenohPort(Port):
 
     def _open(self, session: zenoh.Session, keys: Keys, beside: Neighbours | None) -> None:
         if beside is None:
-            queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
-            self._subscriber: Any = session.declare_subscriber(keys.inbox(self._name), queue)
+            self._subscriber: Any = self._subscribed(session, zenoh.handlers.FifoChannel(QUEUE_SIZE))
             self._inbox = Inbox(self._subscriber, self._wake)
         else:
             self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
-            at_once = zenoh.handlers.Callback(self._inbox.arrive, indirect=False)
-            self._subscriber = session.declare_subscriber(keys.inbox(self._name), at_once)
+            self._subscriber = self._subscribed(session, self._at_once(self._inbox))
+        self._live(session, keys)
+
+    def _subscribed(self, session: zenoh.Session, handler: Any) -> Any:
+        return session.declare_subscriber(self._keys.inbox(self._name), handler)
+
+    @staticmethod
+    def _at_once(inbox: SharedInbox) -> Any:
+        return zenoh.handlers.Callback(inbox.arrive, indirect=False)
+
+    def _live(self, session: zenoh.Session, keys: Keys) -> None:
         liveliness = session.liveliness()
         # a token that nobody refers to undeclares itself
         self._token = liveliness.declare_token(keys.alive(self._name, self._process))
         self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Go on in another open session, while the one before is open yet. For neighbours it is as if the links had
+        broken, and were there again: greetings, and what follows, mend what was under way."""
+        inbox, self._before = self._inbox, (self._token, self._births)
+        handler = self._at_once(inbox) if isinstance(inbox, SharedInbox) else zenoh.handlers.FifoChannel(QUEUE_SIZE)
+        self._subscriber = self._subscribed(session, handler)
+        inbox.move(self._subscriber)
+        self._live(session, self._keys)
+        self._publishers = {lane: self._publisher(session, *lane) for lane in self._publishers}
+        self._session = session
+        for peer in {peer for link in self._links.values() for peer in link.rendezvous.handshakes}:
+            self._lost(peer)
+        self.greet()
 
     @property
     def ready(self) -> bool:
@@ -214,17 +236,20 @@ class ZenohPort(Port):
         for peer, kind in rendezvous.lanes_out:
             if (kind, peer) in self._publishers:
                 continue
-            self._publishers[kind, peer] = self._session.declare_publisher(
-                self._keys.edge(kind, self._name, peer),
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.REAL_TIME,
-                reliability=zenoh.Reliability.RELIABLE,
-                # a task message is followed by context, and leaves in the same batch
-                express=kind != TASKS,
-            )
+            self._publishers[kind, peer] = self._publisher(self._session, kind, peer)
             if self._shared is not None:
                 self._lends[kind, peer] = partial(self._lend, self._shared.lender, (kind, peer))
         self._lanes = {**self._lanes, **self._lanes_of(rendezvous)}
+
+    def _publisher(self, session: zenoh.Session, kind: str, peer: str) -> Any:
+        return session.declare_publisher(
+            self._keys.edge(kind, self._name, peer),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.REAL_TIME,
+            reliability=zenoh.Reliability.RELIABLE,
+            # a task message is followed by context, and leaves in the same batch
+            express=kind != TASKS,
+        )
 
     def _lanes_of(self, rendezvous: Rendezvous) -> Mapping[str, Lane]:
         edge, name = self._keys.edge, self._name
@@ -389,9 +414,18 @@ class ZenohPort(Port):
         return None if handshake is None else beside.get(handshake.peer_process)
 
 
-def epoch_publisher(session: zenoh.Session, keys: Keys) -> Callable[[int, bytes], None]:
-    """What tells whoever listens each committed epoch and its digest; nothing waits for it."""
-    publisher = session.declare_publisher(
-        keys.epochs, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
-    )
-    return lambda epoch, digest: publisher.put(encode_value((epoch, digest)))
+class EpochPublisher:
+    """Tells whoever listens each committed epoch and its digest; nothing waits for it."""
+
+    def __init__(self, session: zenoh.Session, keys: Keys) -> None:
+        self._key = keys.epochs
+        self.move(session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Tell it in an open session."""
+        self._publisher = session.declare_publisher(
+            self._key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
+        )
+
+    def __call__(self, epoch: int, digest: bytes) -> None:
+        self._publisher.put(encode_value((epoch, digest)))

@@ -74,6 +74,9 @@ LONGEST_BYTES = MAX_MESSAGE_BYTES + 64 * 1024
 LONGEST_SHORT_BYTES = MAX_QUESTION_BYTES + 64 * 1024
 """Likewise, where links are low-latency ones: questions are the longest that such a process hears."""
 
+LINKS_S = 5.0  # how long another session of a process may take to have the links that the one before has
+LINKS_LOOK_S = 0.02
+
 CLOSE_TIMEOUT_S = 1.0
 EXIT_TIMEOUT_S = 3.0  # how long the interpreter's end waits for sessions that were not closed by then
 CALLBACKS_END_S = 0.5
@@ -239,6 +242,13 @@ def _await_threads() -> None:
         for thread in threading.enumerate():
             if thread.name.endswith(name):
                 thread.join(max(until_s - time.monotonic(), 0.0))
+
+
+def await_links(session: zenoh.Session, before: zenoh.Session) -> None:
+    """Wait until a session is linked to all that another one of this process is linked to; not for long."""
+    until_s = time.monotonic() + LINKS_S
+    while {*before.info.peers_zid()} - {session.zid()} - {*session.info.peers_zid()} and time.monotonic() < until_s:
+        time.sleep(LINKS_LOOK_S)
 
 
 def endpoint_at(host: str | None = None, secret: str = "", port: int = 0) -> str:
