@@ -34,7 +34,7 @@ from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
 
 TICK_S = 0.05
-MOVE_S = 10.0  # how long a node may take until it uses another session, an operator that it is in among it
+MOVE_S = 30.0  # how long a node may take until it uses another session, an operator that it is in among it
 STUCK_S = 1.0  # how long an operator may go on when the process is to end
 BUG = 3  # exit code where a process ends with a traceback
 

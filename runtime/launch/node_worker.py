@@ -76,7 +76,7 @@ class NodeWorker:
         self._kept = None if order.slots is None else KeptElsewhere(order.slots, self._pipe)
         self._port: ZenohPort | None = None
         self._declared: list[ControlLine | StepPublisher | InspectionEndpoint] = []
-        self._also_moved: list[ControlLine | EpochPublisher] = []  # the world's, whose node leaves no process
+        self._moved: list[ControlLine | InspectionEndpoint | EpochPublisher] = []  # with the port, to another session
         self._shared: SharedArrays | None = None
         self._member: Member | None = None
         self._world: WorldMember | None = None
@@ -138,18 +138,19 @@ class NodeWorker:
 
     def move(self, session: Any, timeout_s: float) -> bool:
         """Have the node go on in another session, between two messages; whether it has before a time is over."""
-        loop, moved = self._loop, threading.Event()
+        loop, port, moved = self._loop, self._port, threading.Event()
+        if loop is None or port is None:
+            return False
+        self._publisher.move(session)  # which waits for who listens, and so not in the node's thread
 
         def move() -> None:
             with self._home.declaring:
-                for each in (self._port, *self._declared, *self._also_moved):
-                    if each is not None:
-                        each.move(session)
+                for each in (port, *self._moved):
+                    each.move(session)
             moved.set()
 
-        if loop is not None:
-            loop.send_on(move)
-        return loop is not None and moved.wait(timeout_s)
+        loop.send_on(move)
+        return moved.wait(timeout_s)
 
     def begin(self, processes: Mapping[str, str]) -> None:
         """Have the world begin the run: all processes are up, these by node."""
@@ -280,7 +281,7 @@ class NodeWorker:
             if order.owner is not None:
                 with self._home.declaring:
                     publish = EpochPublisher(session, keys)
-                self._also_moved.append(publish)
+                self._moved.append(publish)
                 pacemaker = pacemaker_of(order, publish, self._pipe)
                 member = self._begin_world(order.owner, seat, port, slots, pacemaker)
             else:
@@ -300,10 +301,11 @@ class NodeWorker:
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
         self._line = ControlLine(session, keys.control(order.process), offered, self.hear, most_bytes)
         if is_world:
-            self._also_moved.append(ControlLine(session, keys.words("*"), get_args(Word), self.hear, most_bytes))
+            self._moved.append(ControlLine(session, keys.words("*"), get_args(Word), self.hear, most_bytes))
         self._publisher = StepPublisher(session, keys, order.name)
         endpoint = InspectionEndpoint(session, keys, order.name)
         self._declared += (self._line, self._publisher, endpoint)
+        self._moved += (self._line, endpoint)
         return endpoint
 
     def _empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:

@@ -1,6 +1,7 @@
 """What the nodes of one process share: a session of Zenoh, the way from one to another, and the pipe's turns."""
 
 import threading
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -10,6 +11,8 @@ from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.shared_process import Neighbours
 from hierax.runtime.transport.zenoh_session import await_links, close_session, endpoint_at, open_session
 from hierax.schemas.keys import Keys
+
+LINGER_S = 1.0  # how long what was said in a session may be on its way when another one is used
 
 
 class ProcessHome:
@@ -43,6 +46,7 @@ class ProcessHome:
             self._session = session
         if not move(session):
             return False  # some use the one before
+        time.sleep(LINGER_S)
         close_session(before)
         return True
 

@@ -2,8 +2,6 @@
 
 A process then opens another session, has its nodes use it, and closes the one before."""
 
-import time
-
 import anyio
 
 from hierax.runtime.launch.child import Child, ProcessState
@@ -11,7 +9,7 @@ from hierax.runtime.launch.frames import RENEW
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 
-RENEWS_S = 30.0  # how long a process may take for it, until the next one's turn
+RENEWS_S = 60.0  # how long a process may take for it, until the next one's turn
 LOOK_S = 0.05
 
 
@@ -19,10 +17,10 @@ async def renew_again_and_again(processes: RosterSupervisor, lifetime_s: float |
     """Until it is cancelled; None: they hold as long as the run."""
     if lifetime_s is None:
         return
-    begun_s = time.monotonic()
+    due_s = anyio.current_time()
     while True:
-        begun_s += lifetime_s / 3
-        await anyio.sleep(begun_s - time.monotonic())
+        due_s = max(due_s + lifetime_s / 3, anyio.current_time())
+        await anyio.sleep_until(due_s)
         for child in [each for each in processes.children if _stands_for_its_process(each)]:
             if not await _is_renewed(child):
                 notify(f"{child.name}: its process has not got another certificate within {RENEWS_S:g} s")

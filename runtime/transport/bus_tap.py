@@ -24,7 +24,7 @@ CHANNEL_SIZE = 4096  # how many samples wait for the thread that takes them in; 
 QUEUE_BYTES = 512 << 20  # how much may wait for the disk; what is more is dropped, counted and named
 
 ANSWER_TIMEOUT_S = 2.0
-KNOWN_S = 2.0  # how long it may take until who listens is known in another session
+KNOWN_S = 10.0  # how long it may take until who listens is known in another session
 LOOK_S = 0.01
 
 BATCH_BYTES = 16 << 20  # with so much there is nothing to wait for

@@ -74,7 +74,7 @@ LONGEST_BYTES = MAX_MESSAGE_BYTES + 64 * 1024
 LONGEST_SHORT_BYTES = MAX_QUESTION_BYTES + 64 * 1024
 """Likewise, where links are low-latency ones: questions are the longest that such a process hears."""
 
-LINKS_S = 5.0  # how long another session of a process may take to have the links that the one before has
+LINKS_S = 10.0  # how long another session of a process may take to have the links that the one before has
 LINKS_LOOK_S = 0.02
 
 CLOSE_TIMEOUT_S = 1.0
