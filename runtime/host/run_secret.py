@@ -99,7 +99,7 @@ def read_key(path: Path) -> str:
     line, _, certificates = text.partition("\n")
     user, _, token = line.strip().partition(":")
     secret = f"{token}\n{certificates}" if certificates.strip() else token
-    if user != USER or not is_secret(secret):
+    if user != USER or len(text) > _LONGEST or not is_secret(secret):
         raise HieraxError(f"{path}: expected the key of a run, a line '{USER}:…', as its launch has written it")
     return secret
 

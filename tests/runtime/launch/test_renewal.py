@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-from collections import Counter
 from pathlib import Path
 
-from support.live import Live, hierax, until
+from support.live import Live, hierax, renewed, until
 
 LIFETIME_S = 20
 RENEWALS = 4  # a third of the lifetime apart: links with the first certificates have ended by then
-NEW = "its process shows another certificate from now on"
-
-
-def renewed(live: Live) -> Counter[str]:
-    """How often processes have got another certificate, by the nodes that said so."""
-    lines = live.hierax("logs").stdout.splitlines()
-    return Counter(line.rpartition(f": {NEW}")[0].rpartition(" ")[2] for line in lines if line.endswith(NEW))
 
 
 def test_certificates_are_renewed_while_epochs_go_on(tmp_path: Path) -> None:
