@@ -36,11 +36,11 @@ from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.transport.bus_tap import StepPublisher
+from hierax.runtime.transport.bus_tap import EpochPublisher, StepPublisher
 from hierax.runtime.transport.control import ControlLine, InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.shared_arrays import SharedArrays
-from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
+from hierax.runtime.transport.zenoh_port import ZenohPort
 from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES, allows_shared_memory
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget

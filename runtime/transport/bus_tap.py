@@ -1,4 +1,4 @@
-"""Both ends of a recording: where a node tells its steps, and where a recorder hears all that is said."""
+"""Both ends of a recording: where a node tells its steps, and the world its epochs, and where a recorder hears all."""
 
 import logging
 import threading
@@ -18,7 +18,7 @@ from hierax.schemas.access import READER, Access
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import is_lent
-from hierax.schemas.values import Value
+from hierax.schemas.values import Value, encode_value
 
 CHANNEL_SIZE = 4096  # how many samples wait for the thread that takes them in; when it is full, their senders wait
 QUEUE_BYTES = 512 << 20  # how much may wait for the disk; what is more is dropped, counted and named
@@ -83,6 +83,23 @@ class StepPublisher:
             publisher.put(data)
         except zenoh.ZError as error:
             _log.info("a step is not told: %s", error)  # closing: the recorder finds that it lacks
+
+
+class EpochPublisher:
+    """Tells whoever listens each committed epoch and its digest; nothing waits for it."""
+
+    def __init__(self, session: zenoh.Session, keys: Keys) -> None:
+        self._key = keys.epochs
+        self.move(session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Tell it in an open session."""
+        self._publisher = session.declare_publisher(
+            self._key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
+        )
+
+    def __call__(self, epoch: int, digest: bytes) -> None:
+        self._publisher.put(encode_value((epoch, digest)))
 
 
 def _is_lent(data: bytes) -> bool:

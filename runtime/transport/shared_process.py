@@ -97,6 +97,10 @@ class SharedInbox:
         if not full:
             self._put(sample)
 
+    def handler(self) -> Any:
+        """What a subscriber has to have."""
+        return zenoh.handlers.Callback(self.arrive, indirect=False)
+
     def move(self, subscriber: zenoh.Subscriber[None]) -> None:
         """What another subscriber calls comes to the same queue."""
 

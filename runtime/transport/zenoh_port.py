@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 from numpy.typing import NDArray
 
-from hierax.runtime.transport.inbox import QUEUE_SIZE, Inbox
+from hierax.runtime.transport.inbox import Inbox
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.rendezvous import AbsentProcesses, Handshake, Rendezvous
 from hierax.runtime.transport.shared_arrays import ForeignArrayError, Lender, LostArrayError, SharedArrays
@@ -22,7 +22,6 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.messages import HELLO, NO_EXTENSIONS, TASKS, Lend, Message, decode_message, encode_message
-from hierax.schemas.values import encode_value
 
 _log = logging.getLogger("hierax")
 
@@ -84,43 +83,25 @@ class ZenohPort(Port):
         self._shaking = threading.Lock()
         self.absent = AbsentProcesses()  # processes of the run whose links broke, or whose first ones did not open
         self._own_key = keys.edge(INTERRUPT, name, name)
-        self._inbox: Inbox | SharedInbox
+        self._inbox: Inbox | SharedInbox = Inbox(None, self._wake)
+        if beside is not None:
+            self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
+        self._signs: tuple[Any, ...] = ()  # its token, and what tells of others'
         try:
             with self._declaring:
-                self._open(session, keys, beside)
+                self.move(session)
         except zenoh.ZError as error:
             raise TransportError(f"{name}: Zenoh: {error}") from error
 
-    def _open(self, session: zenoh.Session, keys: Keys, beside: Neighbours | None) -> None:
-        if beside is None:
-            self._subscriber: Any = self._subscribed(session, zenoh.handlers.FifoChannel(QUEUE_SIZE))
-            self._inbox = Inbox(self._subscriber, self._wake)
-        else:
-            self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
-            self._subscriber = self._subscribed(session, self._at_once(self._inbox))
-        self._live(session, keys)
-
-    def _subscribed(self, session: zenoh.Session, handler: Any) -> Any:
-        return session.declare_subscriber(self._keys.inbox(self._name), handler)
-
-    @staticmethod
-    def _at_once(inbox: SharedInbox) -> Any:
-        return zenoh.handlers.Callback(inbox.arrive, indirect=False)
-
-    def _live(self, session: zenoh.Session, keys: Keys) -> None:
-        liveliness = session.liveliness()
-        # a token that nobody refers to undeclares itself
-        self._token = liveliness.declare_token(keys.alive(self._name, self._process))
-        self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
-
     def move(self, session: zenoh.Session) -> None:
-        """Go on in another open session, while the one before is open yet. For neighbours it is as if the links had
-        broken, and were there again: greetings, and what follows, mend what was under way."""
-        inbox, self._before = self._inbox, (self._token, self._births)
-        handler = self._at_once(inbox) if isinstance(inbox, SharedInbox) else zenoh.handlers.FifoChannel(QUEUE_SIZE)
-        self._subscriber = self._subscribed(session, handler)
-        inbox.move(self._subscriber)
-        self._live(session, self._keys)
+        """Go on in an open session, while the one before is open yet. For neighbours it is as if the links had broken,
+        and were there again: greetings, and what follows, mend what was under way."""
+        keys, liveliness = self._keys, session.liveliness()
+        self._subscriber = session.declare_subscriber(keys.inbox(self._name), self._inbox.handler())
+        self._inbox.move(self._subscriber)
+        self._before = self._signs  # a token that nobody refers to undeclares itself
+        token = liveliness.declare_token(keys.alive(self._name, self._process))
+        self._signs = (token, liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True))
         self._publishers = {lane: self._publisher(session, *lane) for lane in self._publishers}
         self._session = session
         for peer in {peer for link in self._links.values() for peer in link.rendezvous.handshakes}:
@@ -227,7 +208,7 @@ class ZenohPort(Port):
     def _leave(self, beside: Neighbours) -> None:
         """Others go on in the session."""
         beside.pop(self._process).close()
-        for declared in (self._births, self._subscriber, *self._publishers.values(), self._token):
+        for declared in (*self._publishers.values(), self._subscriber, *self._signs):
             with suppress(zenoh.ZError), self._declaring:
                 declared.undeclare()
         self._publishers = {}
@@ -412,20 +393,3 @@ class ZenohPort(Port):
             return None
         handshake = link.rendezvous.handshakes.get(header.receiver)
         return None if handshake is None else beside.get(handshake.peer_process)
-
-
-class EpochPublisher:
-    """Tells whoever listens each committed epoch and its digest; nothing waits for it."""
-
-    def __init__(self, session: zenoh.Session, keys: Keys) -> None:
-        self._key = keys.epochs
-        self.move(session)
-
-    def move(self, session: zenoh.Session) -> None:
-        """Tell it in an open session."""
-        self._publisher = session.declare_publisher(
-            self._key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
-        )
-
-    def __call__(self, epoch: int, digest: bytes) -> None:
-        self._publisher.put(encode_value((epoch, digest)))
