@@ -2,10 +2,11 @@
 
     python benchmarks/attacks.py                          # floods of 10⁵ messages and 100 MB, some minutes
     python benchmarks/attacks.py --messages 2000 --megabytes 8
-    python benchmarks/attacks.py files                    # closed, encrypted or files alone
+    python benchmarks/attacks.py files                    # closed, encrypted, roles or files alone
 
 closed      a launch on one machine: the attacker has no key, a wrong one, another run's, or an old run's
 encrypted   a launch with --host: it has no certificate, another run's, or one of the two secrets of the right run
+roles       a launch with --host: it has a key or certificate of the run, for another role
 files       recordings, folders, checkpoints, rosters, keys, deployment files and answers of what is no launch
 
 Launches are attacked by another user where root starts this, as client and as peer, at the port of every process, and
@@ -30,9 +31,10 @@ sys.path.insert(0, str(ROOT / "tests"))
 from support import file_attacks  # noqa: E402
 from support.attacks import attacked, order_for  # noqa: E402
 from support.live import Live  # noqa: E402
+from support.role_attacks import RoleAttack  # noqa: E402
 
 from hierax.runtime.host.run_folder import run_folder  # noqa: E402
-from hierax.runtime.host.run_secret import authority_of, new_secret, token_of  # noqa: E402
+from hierax.runtime.host.run_secret import certificates_of, new_secret, token_of  # noqa: E402
 
 ALLOWED_BYTES = 50 << 20
 _OFTEN = re.compile(r"no (key|certificate) of this run(?: \((\d+) times by now\))?")
@@ -81,13 +83,13 @@ def encrypted(folder: Path, options: Options) -> Iterator[Row]:
     """A launch that other machines may join."""
 
     def secrets(live: Live, other: str, old: str) -> Secrets:
-        token, authority = token_of(live.secret), authority_of(live.secret)
+        token, authority = token_of(live.secret), certificates_of(live.secret)
         return {
             "no certificate": None,
             "the password alone": token,
             "another run's certificate and password": other,
             "an old run's certificate and password": old,
-            "another run's certificate": f"{token}\n{authority_of(other)}",
+            "another run's certificate": f"{token}\n{certificates_of(other)}",
             "another run's password": f"{token_of(other)}\n{authority}",
         }
 
@@ -100,7 +102,27 @@ def files(folder: Path, options: Options) -> Iterator[Row]:
         yield Row(name, outcome["came"], outcome["line"] or "harmless")
 
 
-WAYS: dict[str, Callable[[Path, Options], Iterator[Row]]] = {"closed": closed, "encrypted": encrypted, "files": files}
+def roles(folder: Path, options: Options) -> Iterator[Row]:
+    """A launch that other machines may join, by who has a key or certificate of it."""
+    with ExitStack() as stack:
+        live = Live(folder, "--host", "127.0.0.1")
+        stack.callback(live.close)
+        attack = RoleAttack(live)
+        stack.callback(attack.close)
+        for who, each in attack.all().items():
+            for what, count in each.items():
+                yield Row(f"{who}: {what}", f"{count} times" if count else "", "0")
+        live.goes_on()
+        live.is_repeated_by()
+        yield Row("digest", "", "that of `hierax run`")
+
+
+WAYS: dict[str, Callable[[Path, Options], Iterator[Row]]] = {
+    "closed": closed,
+    "encrypted": encrypted,
+    "roles": roles,
+    "files": files,
+}
 
 
 def _launched(

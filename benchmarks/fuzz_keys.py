@@ -45,7 +45,7 @@ from hierax.schemas.values import encode_value  # noqa: E402
 
 ALLOWED_BYTES = 100 << 20
 ASKED_EVERY = 500
-NAMES = ("world", "low", "high", "owner", "keeper", "stranger", "", "*", "a/b", "x" * 200)
+NAMES = ("world", "low", "high", "stranger", "", "*", "a/b", "x" * 200)
 NUMBERS = (0, 1, 2, -1, 7, 255, 10**9, 10**12, 2**53, 2**63 - 1, 2**64 - 1)
 KINDS_OF_CONTROL = {kind.__name__: len(kind._fields) for kind in get_args(Control)}
 """By name, how many fields they have."""
@@ -117,8 +117,9 @@ class Grammar:
         fields = [self.value() for _ in range(count)]
         if rng.random() < 0.7:
             fields = [self._fitting(kind, index) for index in range(count)]
-        address = rng.choice(("owner", *self._tokens.values(), "keeper"))
-        return self._stranger.keys.control(address), encode_value((kind, *fields))
+        keys = self._stranger.keys
+        key = rng.choice((*map(keys.words, self._tokens), *map(keys.control, self._tokens.values())))
+        return key, encode_value((kind, *fields))
 
     def _fitting(self, kind: str, index: int) -> Any:
         rng = self._rng
@@ -173,8 +174,8 @@ class Grammar:
         node = rng.choice(("world", "low", "high"))
         key = rng.choice((
             keys.edge(rng.choice((*KINDS, "interrupt", "x")), rng.choice(("world", "low", "high", "s")), node),
-            keys.control(rng.choice(("owner", "keeper", *self._tokens.values()))), keys.look(node), keys.steps(node),
-            keys.seen("obs", "low", "high"), keys.epochs, keys.roster, keys.notes,
+            keys.control(rng.choice([*self._tokens.values()])), keys.words(node), keys.look(node), keys.steps(node),
+            keys.launch, keys.changes, keys.seen("obs", "low", "high"), keys.epochs, keys.roster, keys.notes,
         ))  # fmt: skip
         head = rng.choice((b"", b"\x9c", b"\xdc\x00\x0e", b"\xdd\xff\xff\xff\xff", b"\xdb\x7f\xff\xff\xff", b"\xc9"))
         return key, head + rng.randbytes(rng.choice((0, 1, 8, 100, 5000)))
@@ -183,7 +184,7 @@ class Grammar:
         """A question to a node or the keeper."""
         rng = self._rng
         keys = self._stranger.keys
-        key = rng.choice((keys.look("world"), keys.look("low"), keys.look("high"), keys.control("keeper")))
+        key = rng.choice((keys.look("world"), keys.look("low"), keys.look("high"), keys.launch, keys.changes))
         look = rng.choice(("meter", "state", "neighbours", "echo", "steps", self.value()))
         ask = rng.choice(("ps", "change", "record", self.value()))
         fields = {"look": look, "ask": ask, "every": self.value(), "edges": self.value(), "pid": -1}

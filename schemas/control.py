@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple, cast, get_args, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.keys import check_name
+from hierax.schemas.keys import check_name, check_process
 from hierax.schemas.limits import MAX_NEIGHBOURS, MAX_NUMBER, MAX_STATE_BYTES, MAX_TEXT_CHARS, MAX_WORD_BYTES
 from hierax.schemas.values import Value, decode_value, encode_value, fits
 
@@ -223,7 +223,7 @@ def _check_content(field: str, part: Value, where: str) -> None:
     if field in _TEXTS and len(part) > MAX_TEXT_CHARS:
         raise SchemaError(f"{len(part)} characters; at most {MAX_TEXT_CHARS} are allowed", where)
     if field in _NAMES and not (field in _MAY_BE_EMPTY and not part):
-        check_name(part, where=where)
+        (check_process if field == "process" else check_name)(part, where=where)
     if field in ("receivers", "waits_for"):
         if len(part) > MAX_NEIGHBOURS:
             raise SchemaError(f"{len(part)} entries; at most {MAX_NEIGHBOURS} are allowed", where)

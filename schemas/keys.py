@@ -1,7 +1,7 @@
 """Zenoh keys: one key for each kind and direction of an edge, control keys beside them.
 
-``hierax/{deployment}/{run}/{obs|task|ctx}/{from}/{to}``. One key has one writer, so
-that access-control lists follow from the roster."""
+``hierax/{deployment}/{run}/{obs|task|ctx}/{from}/{to}``. One key has one writer, so that who may say what follows from
+the names in it (`hierax.schemas.access`)."""
 
 import re
 from dataclasses import dataclass
@@ -28,6 +28,24 @@ def check_name(name: str, what: str = "name", where: str = "") -> str:
     return name
 
 
+def check_process(token: str, what: str = "process", where: str = "") -> str:
+    """A process's token: a name, or as `process_token` makes it. Raises `SchemaError` if it is none."""
+    for part in token.split("~", 1) if isinstance(token, str) else [token]:
+        check_name(part, what, where)
+    return token
+
+
+def process_token(name: str, unique: str) -> str:
+    """The token of a process of a node. It begins with the node's name, and no name has a tilde: so by the key on which
+    a process is told things it is known whose that is."""
+    return f"{name}~{unique}"
+
+
+def node_of(process: str) -> str:
+    """Whose process it is, by a token as `process_token` makes it."""
+    return process.partition("~")[0]
+
+
 @dataclass(frozen=True, slots=True)
 class Keys:
     """The keys of one run of one deployment."""
@@ -52,9 +70,23 @@ class Keys:
         """The liveliness token of an instance of a node."""
         return f"{self.root}/alive/{name}/{instance}"
 
-    def control(self, address: str) -> str:
-        """The key where a process, by its token, or the roster's owner is told something."""
-        return f"{self.root}/control/{address}"
+    def control(self, process: str) -> str:
+        """The key where a process, by its token, is told something by the roster's owner, or by its supervisor."""
+        return f"{self.root}/control/{process}"
+
+    def words(self, name: str) -> str:
+        """The key where a process of a node tells the roster's owner something."""
+        return f"{self.root}/words/{name}"
+
+    @property
+    def launch(self) -> str:
+        """The key where the supervisor answers those who look at the launch."""
+        return f"{self.root}/launch"
+
+    @property
+    def changes(self) -> str:
+        """The key where the supervisor answers those who want the launch to change."""
+        return f"{self.root}/changes"
 
     def look(self, name: str) -> str:
         """The key where a node answers those who look at it."""

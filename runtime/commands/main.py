@@ -16,6 +16,7 @@ from hierax.runtime.commands.errors import OK, CommandError, exit_code
 from hierax.runtime.commands.graph import graph, validate
 from hierax.runtime.commands.health import health
 from hierax.runtime.commands.inspect import inspect
+from hierax.runtime.commands.keys import keys
 from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.logs import logs
 from hierax.runtime.commands.membership import attach, detach, ps, replace
@@ -31,7 +32,7 @@ from hierax.runtime.commands.view import view
 
 COMMANDS: tuple[Callable[..., int], ...] = (
     *(run, launch, attach, detach, replace, set_parameters.set),
-    *(ps, health, top, inspect, echo, logs, view),
+    *(ps, health, top, inspect, echo, logs, view, keys),
     *(record, replay, diff, check),
     *(new, validate, graph, sim, doctor),
 )

@@ -30,6 +30,7 @@ _WORDS = """
 --epochs N: How many epochs; by default what the file says, or until the world has finished.
 --exclude KEY-PATTERN: Leave out of the recording what comes on such keys: KIND/FROM/TO or steps/NODE, with * for any,
     as in obs/camera/*. May be given several times.
+--expires TIME: After what time it is good for nothing, such as 30m, 8h or 2d.
 --faults KIND,…: Kinds of faults; by default all. 'none': only changes.
 --follow: Go on until the launch is over, or Ctrl-C.
 --format: How the result is printed.
@@ -41,7 +42,7 @@ _WORDS = """
 --interval SECONDS: How long each look takes.
 --jobs N: Processes; by default one for each core.
 --key FILE: With --connect: a copy of the key of that launch's run, for you alone; where it is, `hierax launch --host`
-    says.
+    says. Or one that `hierax keys` has made of it.
 --level: From this level on.
 --max-duration TIME: End the recording after this time, such as 90s, 15m or 2h; the run goes on.
 --max-size SIZE: End the recording with the last whole epoch before it is larger, such as 500MB; the run goes on.
@@ -60,6 +61,7 @@ _WORDS = """
 --resume DIR: Go on with the run whose checkpoints are in this folder, at its next epoch. With FILE, begin there where
     there is none, and end well where it is over.
 --rounds: How often ours and the rival take turns.
+--role: A reader looks, asks and records; an operator may also attach, detach, replace and set.
 --run RUN: Which launch: its identification, or how that begins, or its hierarchy's name; `hierax ps` lists them.
 --save FILE.rrd: Into a file, for `rerun FILE.rrd`; no viewer.
 --seed S: Of all random numbers.

@@ -164,13 +164,13 @@ def record(
     hierarchy: Annotated[
         str | None, argument("LAUNCH", "Its hierarchy's name, or its run, as `hierax ps` lists them.")
     ] = None,
-    host: Annotated[str | None, option("--host", help="With --connect: this machine's address for the others.")] = None,
     epochs: Annotated[int | None, option("--epochs", min=1, max=LARGEST, help="Stop after N epochs.")] = None,
 ) -> int:
     """Record a launch that runs, until it is over, or Ctrl-C. Exit code 1 if something said is not in the file."""
     from hierax.runtime.recording.info import RunInfo
     from hierax.runtime.recording.live_recording import LiveRecording
     from hierax.runtime.recording.recorder import Recorder
+    from hierax.schemas.access import Access
 
     if hierarchy is not None and options.run is not None:
         raise CommandError("give the launch or --run, not both")
@@ -178,9 +178,10 @@ def record(
     with claimed_file(output, options.overwrite) as target:
         launch = launch_meant(options.run if hierarchy is None else hierarchy, options.connect, options.key)
         with client_at(launch) as client:
-            info = RunInfo.read(client.ask({"ask": "record", "pid": 0 if options.connect else os.getpid()}))
+            told = client.ask({"ask": "record", "pid": 0 if options.connect else os.getpid()})
+        info, access = RunInfo.read(told), Access.read(told.get("access"))
         recorder = Recorder(info, target, selection=selection, epochs=epochs)
-        recording = LiveRecording(recorder, launch.endpoint, host=host, watches=True, secret=launch.secret)
+        recording = LiveRecording(recorder, launch.endpoint, access, watches=True, secret=launch.secret)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: recording.stop())
         notify(f"recording {info.hierarchy}, run {info.run}; Ctrl-C ends it")

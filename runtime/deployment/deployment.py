@@ -270,6 +270,7 @@ class Deployment:
     low_latency: bool  # whether processes have links that carry short messages more quickly, and no long ones
     open: bool  # whether anybody who reaches a launch may speak to it
     insecure: bool  # whether links between machines are not encrypted
+    certificates_s: float | None  # how long certificates of nodes' processes hold, in seconds; None: as the run does
     import_paths: tuple[str, ...]  # folders in which the deployment's own modules are looked for
     document: Document = field(repr=False, compare=False)  # where everything stands in the file
     view: ViewSpec = ViewSpec()  # how a viewer shows it

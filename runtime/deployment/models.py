@@ -326,6 +326,11 @@ class DeploymentModel(_Model):
     insecure: bool = _field(
         "whether what passes between machines (`--host`) may be read on the way; by default it is encrypted", False
     )
+    certificates_s: Annotated[float, Field(ge=5, allow_inf_nan=False)] | None = _field(
+        "how many seconds certificates of nodes' processes hold, each of which gets a new one when a third of that is "
+        "over; null: as long as the run",
+        None,
+    )
     processes: Processes = _field(
         "by its name, the nodes that share a process, where * stands for any letters; any other has one of its own", {}
     )

@@ -46,6 +46,7 @@ _AS_SAID = (
     "low_latency",
     "open",
     "insecure",
+    "certificates_s",
     "late",
 )
 """Fields of the deployment that are those of the file."""

@@ -1,14 +1,17 @@
 """The secret of a run, which a session has to know to be let into it, and the key: the file in which it is.
 
 A key begins with a line ``hierax:TOKEN``, which is what Zenoh calls a dictionary of users; so a Zenoh program of one's
-own joins by the settings ``transport.auth.usrpwd`` with this user and password. Where other machines may join, the
-run's authority follows (`hierax.runtime.host.run_certificates`). In memory, a secret is the same text without the user.
+own joins by the settings ``transport.auth.usrpwd`` with this user and password. Where other machines may join,
+certificates follow (`hierax.runtime.host.run_certificates`): the run's authority with its private key, by which
+certificates of all roles are made; or, in the key of one role, the authority's certificate, and one of that role with
+its private key. In memory, a secret is the same text without the user.
 """
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from secrets import token_hex
 
@@ -17,11 +20,10 @@ from hierax.runtime.host.private_files import errors_named
 
 USER = "hierax"  # who Zenoh takes all those for that know the secret
 _LONGEST = 4096  # bytes
-_AUTHORITY = re.compile(
-    r"-----BEGIN CERTIFICATE-----\n[\w+/=\n]+-----END CERTIFICATE-----\n-----BEGIN PRIVATE KEY-----\n"
-    r"[\w+/=\n]+-----END PRIVATE KEY-----\n",
-    re.ASCII,
-)
+_CERTIFICATE = "-----BEGIN CERTIFICATE-----\n"
+_PEM = rf"(?:{_CERTIFICATE}[\w+/=\n]+-----END CERTIFICATE-----\n){{1,2}}"
+_PRIVATE_KEY = "-----BEGIN PRIVATE KEY-----\n"
+_CERTIFICATES = re.compile(rf"{_PEM}{_PRIVATE_KEY}[\w+/=\n]+-----END PRIVATE KEY-----\n", re.ASCII)
 
 
 def new_secret(authority: bool = False) -> str:
@@ -39,9 +41,46 @@ def token_of(secret: str) -> str:
     return secret.partition("\n")[0]
 
 
-def authority_of(secret: str) -> str:
-    """What certificates of the run's sessions are made by; empty: they need none, as links are not encrypted."""
+def certificates_of(secret: str) -> str:
+    """The certificates, and the private key of the last one; empty: there are none, as links are not encrypted."""
     return secret.partition("\n")[2]
+
+
+def pems_of(secret: str) -> tuple[str, str, str]:
+    """Of a secret of one role: the authority's certificate, the role's, and the private key of that. Raises
+    `HieraxError` if it has none."""
+    if not is_secret(secret) or may_issue(secret):
+        raise HieraxError("the key of the run holds no certificate and private key that can be read")
+    _, root, rest = certificates_of(secret).split(_CERTIFICATE)
+    shown, begins, private = rest.partition(_PRIVATE_KEY)
+    return f"{_CERTIFICATE}{root}", f"{_CERTIFICATE}{shown}", f"{begins}{private}"
+
+
+def may_issue(secret: str) -> bool:
+    """Whether certificates of other roles can be made by it, as it has the private key of the run's authority."""
+    return secret.count(_CERTIFICATE) == 1
+
+
+def issued(secret: str, role: str, addresses: Sequence[str] = (), until: datetime | None = None) -> str:
+    """The secret that is for one role, as certificates name it, which listens at some addresses, until a time.
+
+    One that is a role's already stays as it is, as does one without certificates. Raises `HieraxError` if it cannot be
+    read."""
+    if not may_issue(secret):
+        return secret
+    from hierax.runtime.host.run_certificates import certificates
+
+    return f"{token_of(secret)}\n{certificates(certificates_of(secret), role, addresses, until)}"
+
+
+def whose(secret: str) -> tuple[str, datetime] | None:
+    """The role that a secret is for, and until when; None: it is the run's own, for all. Raises `HieraxError` if it
+    cannot be read."""
+    if not certificates_of(secret) or may_issue(secret):
+        return None
+    from hierax.runtime.host.run_certificates import role_of
+
+    return role_of(certificates_of(secret))
 
 
 def key_text(secret: str) -> bytes:
@@ -57,12 +96,20 @@ def read_key(path: Path) -> str:
         text = file.read(_LONGEST + 1).decode(errors="replace")
     if mode & 0o077:
         raise HieraxError(f"{path}: others may read it (mode {mode:04o}); expected a key for you alone: chmod 600")
-    line, _, authority = text.partition("\n")
+    line, _, certificates = text.partition("\n")
     user, _, token = line.strip().partition(":")
-    is_whole = user == USER and token.isalnum() and len(text) <= _LONGEST
-    if not is_whole or (authority.strip() and not _AUTHORITY.fullmatch(authority)):
+    secret = f"{token}\n{certificates}" if certificates.strip() else token
+    if user != USER or len(text) > _LONGEST or not is_secret(secret):
         raise HieraxError(f"{path}: expected the key of a run, a line '{USER}:…', as its launch has written it")
-    return f"{token}\n{authority}" if authority.strip() else token
+    return secret
+
+
+def is_secret(value: object) -> bool:
+    """Whether a value has the form of a secret."""
+    if not isinstance(value, str) or len(value) > _LONGEST or not token_of(value).isalnum():
+        return False
+    certificates = certificates_of(value)
+    return not certificates or _CERTIFICATES.fullmatch(certificates) is not None
 
 
 @contextmanager

@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from secrets import token_hex
 from typing import Any
 
 import anyio
@@ -18,15 +17,17 @@ import anyio.to_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
+from hierax.runtime.host.run_secret import certificates_of, is_secret, may_issue
 from hierax.runtime.launch.child import Child, Overhearing, ProcessState, start_process
 from hierax.runtime.launch.fork_server import ForkServer
-from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, NodeOrder
+from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, NodeOrder, new_process
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
 from hierax.runtime.loading.allowance import Allowance, module_of
 from hierax.runtime.transport.launch_client import LaunchClient, is_gone
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.schemas.access import Access
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.keys import Keys, check_name
+from hierax.schemas.keys import Keys, check_name, check_process
 from hierax.schemas.roster import Reference
 from hierax.schemas.values import Value
 
@@ -134,7 +135,7 @@ class AttachedProcesses(ProcessSupervisor):
             return
         self.notify(f"{child.culprit or child.last_words}; it is started again")
         await anyio.sleep(delay_s)
-        await self.start(replace(child.order, process=token_hex(8), life=COME_BACK, request=""))
+        await self.start(replace(child.order, process=new_process(child.name), life=COME_BACK, request=""))
 
     async def _has_place(self, order: NodeOrder) -> bool:
         """Whether a process that was dismissed runs its node all the same, by what the launch says."""
@@ -225,7 +226,7 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
     allowance.check(reference.target, f"nodes.{name}.class")
     return NodeOrder(
         name=name,
-        process=_name(order, "process"),
+        process=_name(order, "process", check_process),
         life=NEWCOMER,
         request=request,
         deployment=_name(order, "deployment"),
@@ -240,7 +241,8 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         hub=here.endpoint,
         host=here.host,
         settings=here.settings,
-        secret=here.secret,
+        secret=_secret(order, here),
+        access=_access(order, here),
         low_latency=_field(order, "low_latency", bool),
         import_paths=tuple(here.import_paths),
         checkpoint=str(folder / name),
@@ -258,8 +260,28 @@ def _field(order: Mapping[str, Any], field: str, *kinds: type) -> Any:
     return value
 
 
-def _name(order: Mapping[str, Any], field: str) -> str:
+def _secret(order: Mapping[str, Any], here: AttachedHere) -> str:
+    """The secret for the node's role, by which the launch lets it in; who attaches it has one for another role."""
+    if not certificates_of(here.secret):
+        return here.secret
+    secret = _field(order, "secret", str)
+    if not is_secret(secret) or may_issue(secret) or not certificates_of(secret):
+        raise HieraxError(f"{order['name']}: the launch's order has no certificate for it")
+    return str(secret)
+
+
+def _access(order: Mapping[str, Any], here: AttachedHere) -> Access | None:
+    """Who has roles of their own in the run."""
+    if not certificates_of(here.secret):
+        return None
     try:
-        return check_name(order.get(field), field)  # type: ignore[arg-type]
+        return Access.read(order.get("access"))
+    except SchemaError as error:
+        raise HieraxError(f"{order['name']}: the launch's order says access: {error}") from error
+
+
+def _name(order: Mapping[str, Any], field: str, check: Callable[[str, str], str] = check_name) -> str:
+    try:
+        return check(order.get(field), field)  # type: ignore[arg-type]
     except SchemaError as error:
         raise HieraxError(f"{order['name']}: the launch's order says {field}: {error}") from error

@@ -20,7 +20,7 @@ import anyio.abc
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.fork_server import ForkServer
-from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, READ_BYTES, REPORT, UP, NodeOrder, frame
+from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, READ_BYTES, RENEWED, REPORT, UP, NodeOrder, frame
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
 from hierax.schemas.values import Value
@@ -160,6 +160,7 @@ class Child:
     process: NodeProcess  # its process
     overheard: Overheard  # what it prints, and programs that it has started
     state: ProcessState = ProcessState.STARTING  # where it is on its way
+    renewals: int = 0  # how often its certificate was replaced by a new one
     came_up: bool = False  # whether it has ever been `ProcessState.UP`
     ended: anyio.Event = field(default_factory=anyio.Event)  # set when it is `ProcessState.ENDED`
     report: dict[str, Value] | None = None  # its last word
@@ -201,6 +202,9 @@ class Child:
         elif status == FAILED:
             self.failure = NodeFailedError(value["message"], value["where"])
             self.final = value["final"]
+        elif status == RENEWED:
+            self.renewals += 1
+            return True
         elif status == DISMISSED:
             self.dismissed = value["why"]
         elif status == CUT_OFF:
@@ -209,6 +213,10 @@ class Child:
             return False
         self.state = ProcessState.LEAVING
         return True
+
+    def renewed_secret(self) -> str:
+        """What it is to go on with: a certificate that is new."""
+        return self.order.admitted().secret
 
     async def send(self, value: Value) -> bool:
         """Send it a command; whether it listens."""
@@ -301,7 +309,7 @@ async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing, f
     children = [Child(order, process, overheard) for order in orders]
     for child in children if len(children) > 1 else ():
         child.mates = children
-    await children[0].say([order.plain() for order in orders])
+    await children[0].say([order.admitted().plain() for order in orders])
     return children
 
 

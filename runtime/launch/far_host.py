@@ -223,7 +223,7 @@ class FarChild(Child):
         """The order as the process there gets it."""
         assert self._storage is not None
         order = self.order
-        return replace(
+        there = replace(
             order,
             host=host.address or greeting.own_address,
             import_paths=(".",) if host.folder else (),
@@ -233,6 +233,10 @@ class FarChild(Child):
             checkpoint="",
             slots=tuple(self._storage.read(slot) for slot in range(SLOTS)),
         )
+        return there.admitted()
+
+    def renewed_secret(self) -> str:
+        return self.far_order(self._far.host, self._far.greeting).secret
 
     def take(self, value: Mapping[str, Any]) -> bool:
         status = value["status"]

@@ -11,19 +11,25 @@ import struct
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
+from secrets import token_hex
 
 import anyio
 
 from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
+from hierax.runtime.host.run_secret import issued
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.recovery.disk import Durability
+from hierax.runtime.transport.zenoh_session import OWN_ADDRESS
+from hierax.schemas.access import Access
 from hierax.schemas.control import Dismiss
 from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import process_token
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.roster import ProbeSpec, Reference, Roster
 from hierax.schemas.values import Value, decode_value, encode_value
@@ -53,6 +59,9 @@ BEAT = "beat"  # status of the world, again and again and when its roster change
 MISSES = "misses"  # status: the link to a process broke, and it has not come back
 NOTE = "note"  # status of the world: people should know
 
+RENEW = "renew"  # command, a map: go on with another certificate, which is in this secret
+RENEWED = "renewed"  # status: the process has done so
+
 KEEP = "keep"  # status of a process on another host: a record for its checkpoint, which the supervisor has
 KEPT = "kept"  # command, a map: all records up to this number are where they outlive the process
 LOG = "log"  # status of such a process: a line for its log
@@ -61,6 +70,11 @@ STATES, DIGESTS = "states", "digests"
 
 BEGIN, COME_BACK, NEWCOMER, TO_REPORT = "begin", "come back", "newcomer", "to report"
 """How a process comes into a run: with it, in the place of a lost one, for a change of the roster, or after its end."""
+
+
+def new_process(name: str) -> str:
+    """The token of a new process of a node."""
+    return process_token(name, token_hex(8))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +100,11 @@ class NodeOrder:
     scheduling: Mapping[str, Value] | None = None  # how the system is asked to run the node's thread
     hub: str  # endpoint of the supervisor, through which the processes find one another
     host: str  # address of the process's machine at which others may link; empty: this machine's processes only
-    secret: str = field(default="", repr=False)  # of the run; empty: it is open
+    secret: str = field(default="", repr=False)  # of the run, or as `admitted` gives it; empty: it is open
+    lifetime_s: float | None = None  # how long its certificate holds; None: as long as the run
+    access: Access | None = (
+        None  # who has roles of their own in the run; None: links are not encrypted, and all may all
+    )
     settings: Value  # Zenoh's own
     low_latency: bool  # whether the processes' links are low-latency ones
     output: str = ""  # folder for states and probes; empty: none
@@ -114,9 +132,18 @@ class NodeOrder:
     def output_path(self) -> Path | None:
         return Path(self.output) if self.output else None
 
+    def admitted(self) -> "NodeOrder":
+        """The order as its process gets it: with a certificate for the node's role alone, and its machine's address."""
+        if self.access is None:
+            return self
+        role = self.access.role_of(self.name, self.shares)
+        until = None if self.lifetime_s is None else datetime.now(timezone.utc) + timedelta(seconds=self.lifetime_s)
+        return replace(self, secret=issued(self.secret, role, [self.host or OWN_ADDRESS], until))
+
     def plain(self) -> Value:
         return {
             **self.__dict__,
+            "access": None if self.access is None else self.access.plain(),
             "roster": None if self.roster is None else self.roster.plain(),
             "probes": [[probe.node, probe.reference.plain(), probe.overwrite] for probe in self.probes],
             "owner": None if self.owner is None else self.owner.__dict__,
@@ -131,7 +158,8 @@ class NodeOrder:
         roster = None if value["roster"] is None else Roster.read(value["roster"])
         owner = None if value["owner"] is None else OwnerPolicy(**value["owner"])
         slots = None if value["slots"] is None else tuple(value["slots"])
-        read = {"roster": roster, "probes": probes, "owner": owner, "slots": slots}
+        access = None if value["access"] is None else Access.read(value["access"])
+        read = {"access": access, "roster": roster, "probes": probes, "owner": owner, "slots": slots}
         return NodeOrder(**{**value, **read})
 
 

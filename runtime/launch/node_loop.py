@@ -142,6 +142,7 @@ class NodeLoop:
     port: ZenohPort  # of the node
     words: ControlQueue  # what others say to the member, or to the owner
     stopping: threading.Event  # set when it is to stop
+    errand: Callable[[], None] | None = None  # what the node's thread does once, between two messages
     last: int | None = None  # then the run's last epoch, with which it has to be done; None: with nothing
     _ticks: bool = False
     _ticked_s: float = field(default_factory=time.monotonic)
@@ -161,6 +162,11 @@ class NodeLoop:
             self._ticked_s = now
             self._ticks = True
             self.words.wake()
+
+    def send_on(self, errand: Callable[[], None]) -> None:
+        """Have the node's thread do something once."""
+        self.errand = errand
+        self.words.wake()
 
     def take_turn(self) -> None:
         """In free running: the node's next turn is due."""
@@ -193,7 +199,7 @@ class NodeLoop:
     def _run_in_step(self) -> None:
         watch, wait_s = self.watch, None
         while not (self.stopping.is_set() and self._has_caught_up()):
-            if self.words or self._ticks:
+            if self.words or self._ticks or self.errand is not None:
                 self._serve()
             if self.member.dismissed:
                 return
@@ -255,6 +261,9 @@ class NodeLoop:
             engine.compare(message)
 
     def _serve(self) -> None:
+        errand, self.errand = self.errand, None
+        if errand is not None:
+            errand()
         if self.member.runner is not None and (self.words or self._ticks):
             self.member.runner.turned()  # what follows from a word is work since then, not since the last message
         take_word = self.member.take_word if self.watch is None else self.watch.world.take_word

@@ -11,17 +11,20 @@ import logging
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Awaitable
 from contextvars import copy_context
+from dataclasses import replace
 from typing import Any, NoReturn
 
 import anyio
 import anyio.from_thread
 import anyio.to_thread
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import name_process, own_input, own_output
-from hierax.runtime.launch.frames import FINISH, KEPT, LEAVE, STOP, Frames, NodeOrder, next_frames
+from hierax.runtime.launch.frames import FINISH, KEPT, LEAVE, RENEW, RENEWED, STOP, Frames, NodeOrder, next_frames
 from hierax.runtime.launch.kept_elsewhere import ToldRecords
 from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.launch.process_home import ProcessHome
@@ -31,6 +34,7 @@ from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
 
 TICK_S = 0.05
+MOVE_S = 30.0  # how long a node may take until it uses another session, an operator that it is in among it
 STUCK_S = 1.0  # how long an operator may go on when the process is to end
 BUG = 3  # exit code where a process ends with a traceback
 
@@ -145,11 +149,27 @@ class _Process:
         while True:
             for token, command in commands:
                 worker = self._workers.get(token)
-                if worker is not None:
+                if worker is not None and isinstance(command, dict) and RENEW in command:
+                    threading.Thread(target=self._renew, args=(worker, command[RENEW]), daemon=True).start()
+                elif worker is not None:
                     _obey(worker, command)
             commands = await next_frames(orders, frames)
             if not commands:
                 await self._end()
+
+    def _renew(self, told: NodeWorker, secret: str) -> None:
+        """Have all nodes go on in another session, which shows another certificate."""
+
+        def move(session: Any) -> bool:
+            moved = [worker.move(session, MOVE_S) for worker in list(self._workers.values())]
+            return all(moved)
+
+        try:
+            if self._home.renew(replace(told.order, secret=secret), move):
+                _log.info("%s: its process shows another certificate from now on", told.order.name)
+                told.pipe.say(RENEWED)
+        except HieraxError as error:
+            _log.warning("%s: its certificate is not renewed: %s", told.order.name, error)
 
     async def obey_signals(self) -> None:
         with anyio.open_signal_receiver(signal.SIGTERM) as signals:

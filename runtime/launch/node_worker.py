@@ -36,11 +36,11 @@ from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.transport.bus_tap import StepPublisher
-from hierax.runtime.transport.control import OWNER, ControlLine, InspectionEndpoint
+from hierax.runtime.transport.bus_tap import EpochPublisher, StepPublisher
+from hierax.runtime.transport.control import ControlLine, InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.shared_arrays import SharedArrays
-from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
+from hierax.runtime.transport.zenoh_port import ZenohPort
 from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES, allows_shared_memory
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget
@@ -67,7 +67,8 @@ class NodeWorker:
     """Takes one node from its order to its report. `status`: file descriptor on which the supervisor listens."""
 
     def __init__(self, order: frames.NodeOrder, status: int, wait: Waiter, home: ProcessHome) -> None:
-        self._order = order  # from the supervisor
+        self.order = self._order = order  # from the supervisor
+        self._keys = Keys(order.deployment, order.run)
         self._home = home  # the process, which may have other nodes
         self._wait = wait  # drives async operators
         self._stopping = threading.Event()
@@ -75,6 +76,7 @@ class NodeWorker:
         self._kept = None if order.slots is None else KeptElsewhere(order.slots, self._pipe)
         self._port: ZenohPort | None = None
         self._declared: list[ControlLine | StepPublisher | InspectionEndpoint] = []
+        self._moved: list[ControlLine | InspectionEndpoint | EpochPublisher] = []  # with the port, to another session
         self._shared: SharedArrays | None = None
         self._member: Member | None = None
         self._world: WorldMember | None = None
@@ -134,6 +136,22 @@ class NodeWorker:
         """What takes the process's log, where the supervisor is on another host; None: a file here."""
         return None if self._kept is None else ToldRecords(self._pipe)
 
+    def move(self, session: Any, timeout_s: float) -> bool:
+        """Have the node go on in another session, between two messages; whether it has before a time is over."""
+        loop, port, moved = self._loop, self._port, threading.Event()
+        if loop is None or port is None:
+            return False
+        self._publisher.move(session)  # which waits for who listens, and so not in the node's thread
+
+        def move() -> None:
+            with self._home.declaring:
+                for each in (port, *self._moved):
+                    each.move(session)
+            moved.set()
+
+        loop.send_on(move)
+        return moved.wait(timeout_s)
+
     def begin(self, processes: Mapping[str, str]) -> None:
         """Have the world begin the run: all processes are up, these by node."""
         self._processes = processes
@@ -149,7 +167,7 @@ class NodeWorker:
         if self._port is not None:
             self._port.answered()
         if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
-            self._line.send(OWNER, member.status(control.inquiry, self.busy()))
+            self._say(member.status(control.inquiry, self.busy()))
         elif not self._words.put(control, size):
             _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
 
@@ -235,7 +253,7 @@ class NodeWorker:
         self._opens_s = time.monotonic()
         session = self._home.session(order)
         most_bytes = LOW_LATENCY_BYTES if order.low_latency else None
-        keys = Keys(order.deployment, order.run)
+        keys = self._keys
         if most_bytes is None and allows_shared_memory(order.settings):
             self._shared = SharedArrays()
         with self._home.declaring:
@@ -262,7 +280,8 @@ class NodeWorker:
         try:
             if order.owner is not None:
                 with self._home.declaring:
-                    publish = epoch_publisher(session, keys)
+                    publish = EpochPublisher(session, keys)
+                self._moved.append(publish)
                 pacemaker = pacemaker_of(order, publish, self._pipe)
                 member = self._begin_world(order.owner, seat, port, slots, pacemaker)
             else:
@@ -280,12 +299,13 @@ class NodeWorker:
         order = self._order
         is_world = order.owner is not None
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
-        self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
+        self._line = ControlLine(session, keys.control(order.process), offered, self.hear, most_bytes)
         if is_world:
-            self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
+            self._moved.append(ControlLine(session, keys.words("*"), get_args(Word), self.hear, most_bytes))
         self._publisher = StepPublisher(session, keys, order.name)
         endpoint = InspectionEndpoint(session, keys, order.name)
         self._declared += (self._line, self._publisher, endpoint)
+        self._moved += (self._line, endpoint)
         return endpoint
 
     def _empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
@@ -322,7 +342,7 @@ class NodeWorker:
     def _begin(self, seat: Seat, port: ZenohPort, slots: Slots) -> Member:
         """Come into the run; the member has a part in it where `_member` is set."""
         order = self._order
-        member = Member(seat, lambda word: self._line.send(OWNER, word), Checkpoints(slots))
+        member = Member(seat, self._say, Checkpoints(slots))
         if order.life == frames.TO_REPORT and order.roster is not None:
             member.recall(seat.wire(order.roster))
             return member
@@ -370,7 +390,11 @@ class NodeWorker:
         if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
             self._pipe.dismiss(process, word)
         else:
-            self._line.send(process, word)
+            self._line.send(self._keys.control(process), word)
+
+    def _say(self, word: Control) -> None:
+        """Tell the owner something."""
+        self._line.send(self._keys.words(self._order.name), word)
 
     def _connect(self, port: ZenohPort, wiring: Wiring) -> bool:
         """Open the links to the neighbours; whether that was before the run was stopped."""

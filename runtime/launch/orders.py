@@ -10,6 +10,7 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.secrets import public_settings
 from hierax.runtime.execution.world_member import has_record, read_record
+from hierax.runtime.host.run_secret import certificates_of
 from hierax.runtime.launch.frames import COME_BACK, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.loading.allowance import module_of
@@ -17,6 +18,7 @@ from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
+from hierax.schemas.access import Access
 from hierax.schemas.checkpoint import WorldRecord, decode_processes, decode_roster
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Reference, Roster
@@ -60,6 +62,7 @@ class Orders:
         self.run_id = run_id  # the identification of the run
         self.hub = hub  # endpoint of the supervisor
         self.secret = secret  # of the run; empty: it is open
+        self.access = access_of(deployment)
         self.options = options  # of the launch
         self.overrides = public_settings(options.overrides, deployment.zenoh)  # of secret ones the paths alone
         self.resumed_after = 0  # the last epoch that was committed before the run was resumed
@@ -108,6 +111,8 @@ class Orders:
             hub=self.hub,
             host=self.options.host or "",
             secret=self.secret,
+            access=self.access if certificates_of(self.secret) else None,
+            lifetime_s=deployment.certificates_s,
             settings=deployment.zenoh,
             low_latency=deployment.low_latency,
             output="" if self.options.output is None else str(self.options.output),
@@ -124,11 +129,7 @@ class Orders:
 
     def together(self, names: Iterable[str]) -> dict[str, list[str]]:
         """The nodes of each process, by its name; a process of one node has the node's."""
-        placed = {name: process for process, nodes in self.deployment.processes.items() for name in nodes}
-        found: dict[str, list[str]] = {}
-        for name in sorted(names):
-            found.setdefault(placed.get(name, name), []).append(name)
-        return {process if len(nodes) > 1 else nodes[0]: nodes for process, nodes in found.items()}
+        return together(self.deployment, names)
 
     def _period_ms(self) -> float | None:
         """The time from an epoch to the next, where the world has a rate with the barrier."""
@@ -177,8 +178,9 @@ class Orders:
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""
-        own = replace(order, output="", checkpoint="", import_paths=(), settings=None, probes=(), secret="")
-        return replace(own, host=host, elsewhere=True)
+        own = replace(order, output="", checkpoint="", import_paths=(), settings=None, probes=())
+        own = replace(own, host=host, elsewhere=True, lifetime_s=None)  # nothing that is new would come there
+        return replace(own, secret="") if own.access is None else own.admitted()  # who keeps it has the secret
 
     def terms(self, name: str) -> ProcessTerms:
         return self._terms.get(name, self.deployment.restart)
@@ -251,3 +253,18 @@ class Orders:
             rated=deployment.roster.rates is not None,
             overlaps=deployment.overlaps,
         )
+
+
+def together(deployment: Deployment, names: Iterable[str]) -> dict[str, list[str]]:
+    """The nodes of each process, by its name; a process of one node has the node's."""
+    placed = {name: process for process, nodes in deployment.processes.items() for name in nodes}
+    found: dict[str, list[str]] = {}
+    for name in sorted(names):
+        found.setdefault(placed.get(name, name), []).append(name)
+    return {process if len(nodes) > 1 else nodes[0]: nodes for process, nodes in found.items()}
+
+
+def access_of(deployment: Deployment) -> Access:
+    """Who has roles of their own in a run: the nodes of the deployment file, whether or not it is resumed later."""
+    roster = deployment.roster
+    return Access(roster.world, {name: tuple(nodes) for name, nodes in together(deployment, roster.nodes).items()})

@@ -1,12 +1,18 @@
 """What the nodes of one process share: a session of Zenoh, the way from one to another, and the pipe's turns."""
 
 import threading
+import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from hierax.runtime.launch.frames import NodeOrder
+from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.shared_process import Neighbours
-from hierax.runtime.transport.zenoh_session import close_session, endpoint_at, open_session
+from hierax.runtime.transport.zenoh_session import await_links, close_session, endpoint_at, open_session
+from hierax.schemas.keys import Keys
+
+LINGER_S = 1.0  # how long what was said in a session may be on its way when another one is used
 
 
 class ProcessHome:
@@ -28,13 +34,33 @@ class ProcessHome:
         """The session, opened by who comes first. Raises `TransportError` as `open_session` does."""
         with self._opening:
             if self._session is None:
-                listen, low_latency = [endpoint_at(order.host, order.secret)], order.low_latency
-                self._session = open_session(
-                    listen, [order.hub], order.settings, low_latency=low_latency, secret=order.secret
-                )
+                self._session = _opened(order)
             return self._session
+
+    def renew(self, order: NodeOrder, move: Callable[[Any], bool]) -> bool:
+        """Go on in another session, opened by an order with a certificate that is new. `move` has all nodes use that,
+        and says, as does this, whether they do. Raises `TransportError` as `open_session` does."""
+        before, session = self._session, _opened(order)
+        await_links(session, before)
+        with self._opening:
+            self._session = session
+        if not move(session):
+            return False  # some use the one before
+        time.sleep(LINGER_S)
+        close_session(before)
+        return True
 
     def close(self) -> None:
         """Close the session, when no node uses it any more."""
         if self._session is not None and self.beside is not None:
             close_session(self._session)
+
+
+def _opened(order: NodeOrder) -> Any:
+    access = None
+    if order.access is not None:
+        access = access_control(Keys(order.deployment, order.run), order.access)
+    listen, low_latency = [endpoint_at(order.host, order.secret)], order.low_latency
+    return open_session(
+        listen, [order.hub], order.settings, low_latency=low_latency, secret=order.secret, access=access
+    )

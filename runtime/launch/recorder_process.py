@@ -51,7 +51,7 @@ class RecorderChild:
         """The number of its process; 0: there is none yet."""
         return 0 if self._process is None else self._process.pid
 
-    async def start(self, info: RunInfo, endpoint: str, zenoh_config: Any, host: str | None, secret: str) -> None:
+    async def start(self, info: RunInfo, endpoint: str, zenoh_config: Any, secret: str, access: Any) -> None:
         """Start the process and give it its order; it need not listen yet, as the nodes' processes wait for it."""
         request = self._request
         with started_deaf():
@@ -71,8 +71,8 @@ class RecorderChild:
             "check": request.check,
             "selection": vars(request.selection),
             "settings": zenoh_config,
-            "host": host,
             "secret": secret,
+            "access": access,
         }
         await self._send(json.dumps(order))
 

@@ -1,6 +1,6 @@
 """What others ask of a launch that runs: changes of its roster, and how it does."""
 
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from secrets import token_hex
@@ -16,18 +16,19 @@ from hierax.runtime.deployment.read import RATELESS
 from hierax.runtime.host.scheduling import POLICIES
 from hierax.runtime.launch.audit import Audit, asker
 from hierax.runtime.launch.child import ProcessState
-from hierax.runtime.launch.frames import NEWCOMER
+from hierax.runtime.launch.frames import NEWCOMER, new_process
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.loading.allowance import NotAllowedError, Refusals
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.transport.control import Reply
+from hierax.runtime.transport.control import CHANGES, Reply
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.control import Propose
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.roster import Attach, Change, new_nodes, read_change
 from hierax.schemas.values import Value
 
-PS, CHANGE, AWAIT, RECORD = "ps", "change", "await", "record"  # what can be asked for; see `Requests`
+PS, RECORD = LOOKS = ("ps", "record")
+CHANGE, AWAIT = CHANGES  # what can be asked for, on a key each; see `Requests`
 
 
 MAX_CHANGES = 8  # how many changes may be under way at once
@@ -60,7 +61,7 @@ class Requests:
     asks, for the audit. With ``here`` the processes of new nodes are kept by who asks: the answer is ``{"request",
     "orders"}``, what they are to be started with, and ``{"ask": "await", "request"}`` is answered in the end.
     ``{"ask": "record", "pid"}`` says that a process, 0 for one on another machine, is about to record; the answer is
-    the fields of a `RunInfo`."""
+    the fields of a `RunInfo`, and of an `Access`."""
 
     def __init__(self, processes: RosterSupervisor, audit: Audit | None = None) -> None:
         self._processes = processes
@@ -75,14 +76,14 @@ class Requests:
     async def served(self, hub: Hub) -> AsyncIterator[None]:
         async with anyio.from_thread.BlockingPortal() as portal:
 
-            def on_query(data: Value, reply: Reply) -> None:
+            def on_query(allowed: Sequence[str], data: Value, reply: Reply) -> None:
                 if self._questions >= MAX_QUESTIONS:
                     reply({"refusal": f"{MAX_QUESTIONS} questions are being answered; try again"})
                     return
                 self._questions += 1
-                portal.start_task_soon(self._handle, data, reply)
+                portal.start_task_soon(self._handle, allowed, data, reply)
 
-            hub.serve(on_query)
+            hub.serve(partial(on_query, LOOKS), partial(on_query, CHANGES))
             hub.watch(partial(portal.start_task_soon, self._processes.on_gone))
             try:
                 yield
@@ -90,9 +91,9 @@ class Requests:
                 hub.stop_serving()
                 await portal.stop(cancel_remaining=True)
 
-    async def _handle(self, query: Value, reply: Reply) -> None:
+    async def _handle(self, allowed: Sequence[str], query: Value, reply: Reply) -> None:
         try:
-            reply(await self._answer(query))
+            reply(await self._answer(allowed, query))
         except (HieraxError, SchemaError) as error:
             if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
                 self._processes.notify(f"a change is refused: {error}")
@@ -100,20 +101,21 @@ class Requests:
         finally:
             self._questions -= 1
 
-    async def _answer(self, query: Value) -> Value:
+    async def _answer(self, allowed: Sequence[str], query: Value) -> Value:
         if not isinstance(query, dict):
             raise SchemaError(f"expected a map, got {shown(query)}", "question")
         ask = query.get("ask")
-        if not isinstance(ask, str) or ask not in (PS, CHANGE, AWAIT, RECORD):
-            raise SchemaError(f"expected one of {PS}, {CHANGE}, {AWAIT}, {RECORD}, got {shown(ask)}", "question.ask")
+        if not isinstance(ask, str) or ask not in allowed:
+            raise SchemaError(f"expected {' or '.join(allowed)} on this key, got {shown(ask)}", "question.ask")
         if ask == PS:
             return self._status()
         if ask == RECORD:
             pid = query.get("pid")
             if type(pid) is not int or not 0 <= pid < MAX_PID:
                 raise SchemaError(f"expected a process's number, got {shown(pid)}", "question.pid")
-            self._processes.orders.recorders.add(pid)
-            return self._processes.orders.info(from_start=False).plain()
+            orders = self._processes.orders
+            orders.recorders.add(pid)
+            return {**orders.info(from_start=False).plain(), "access": orders.access.plain()}
         if ask == AWAIT:
             request = query.get("request")
             if not isinstance(request, str):
@@ -179,7 +181,7 @@ class Requests:
         self._changes.add(proposal, terms, partial(self._settled, change, asker(query)))
         orders = [
             processes.orders.order(
-                name, token_hex(8), NEWCOMER, request=request, reference=reference, terms=terms[name]
+                name, new_process(name), NEWCOMER, request=request, reference=reference, terms=terms[name]
             )
             for name, reference in new_nodes(change).items()
         ]

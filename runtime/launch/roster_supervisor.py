@@ -2,7 +2,6 @@
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
-from secrets import token_hex
 from typing import Any
 
 import anyio
@@ -235,7 +234,7 @@ class RosterSupervisor(ProcessSupervisor):
         self.notify(f"{child.last_words}; it is started again")
         await anyio.sleep(delay_s)
         if not self.ending:
-            again = self.orders.again(child.order, token_hex(8), {}, ())
+            again = self.orders.again(child.order, frames.new_process(child.name), {}, ())
             await super().start_together([replace(again, shares="")])
 
     async def _replace(self, children: Sequence[Child]) -> None:
@@ -298,7 +297,7 @@ class RosterSupervisor(ProcessSupervisor):
             await self._hosts.ready(child.name)
         if self.ending:
             return
-        tokens = {child.name: token_hex(8) for child in children}
+        tokens = {child.name: frames.new_process(child.name) for child in children}
         if not self.begun.is_set():
             self.members = {**self.members, **tokens}
             again = await self.start_together([self.orders.anew(each.order, tokens[each.name]) for each in children])

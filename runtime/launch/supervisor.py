@@ -18,23 +18,26 @@ from hierax.runtime.execution.output_folder import write_roster
 from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.timing import timing_of
-from hierax.runtime.host.run_secret import new_secret
+from hierax.runtime.host.run_secret import certificates_of, issued, new_secret
 from hierax.runtime.launch.audit import Audit
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.fork_server import ForkServer
-from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
+from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP, new_process
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
 from hierax.runtime.launch.hosts import Hosts, Reached, reached
-from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError
+from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError, access_of
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
+from hierax.runtime.launch.renewal import renew_again_and_again
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, register, warning_of
+from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
 from hierax.runtime.watch.doors import overheard
 from hierax.runtime.watch.logs import begin_log
+from hierax.schemas.access import READER
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
@@ -86,7 +89,9 @@ def launch(
         options = LaunchOptions(seed, limit, state, output, host, overrides)
         run_id = token_hex(4)
         secret = "" if deployment.open else new_secret(authority=bool(host) and not deployment.insecure)
-        hub = Hub(Keys(deployment.name, run_id), deployment.zenoh, progress, host, secret)
+        keys = Keys(deployment.name, run_id)
+        access = access_control(keys, access_of(deployment)) if certificates_of(secret) else None
+        hub = Hub(keys, deployment.zenoh, progress, host, secret, access)
         stack.callback(hub.close)
         orders = Orders(deployment, run_id, hub.endpoint, options, resumed, secret)
         roster = orders.roster()
@@ -229,7 +234,8 @@ class Supervisor:
             return
         orders = self._orders
         info = orders.info(from_start=not orders.resumes)
-        await self._recorder.start(info, orders.hub, self._deployment.zenoh, orders.options.host, orders.secret)
+        secret, access = issued(orders.secret, READER), orders.access.plain()
+        await self._recorder.start(info, orders.hub, self._deployment.zenoh, secret, access)
         orders.recorders.add(self._recorder.pid)
         self._tasks.start_soon(self._recorder.listen)
 
@@ -242,7 +248,7 @@ class Supervisor:
         life = COME_BACK if self._orders.resumes else BEGIN
         if self._orders.resumes:
             self._processes.begun.set()
-        tokens = {name: token_hex(8) for name in roster.nodes}
+        tokens = {name: new_process(name) for name in roster.nodes}
         self._processes.members = tokens
         others = {} if self._orders.resumes else tokens
         for process, names in self._orders.together(roster.nodes).items():
@@ -262,6 +268,9 @@ class Supervisor:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
             self._start_s = time.perf_counter() - begun_s
             self._tasks.start_soon(self._processes.watch_world)
+            self._tasks.start_soon(
+                renew_again_and_again, self._processes, self._deployment.certificates_s, self._notify
+            )
             await self._processes.finished.wait()
 
     async def _collect(self) -> None:

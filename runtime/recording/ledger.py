@@ -39,6 +39,7 @@ class Ledger:
         self.cut_short: list[Gap] = []
         self._ages: deque[tuple[float, Attempt]] = deque()
         self._streams: dict[str, tuple[str, int]] = {}
+        self._skipped: dict[str, tuple[str, int, Gap]] = {}  # by node, the last one that lacked alone
         self._first: dict[str, int] = {}
         self._expected: frozenset[str] = frozenset()
         self._gaps: list[Gap] = []
@@ -160,11 +161,22 @@ class Ledger:
             if last_stream:
                 self._deaths.add(name)  # another process is there: what the old one had not told, it never will
         if number > last + 1:
-            self.add(Gap(epoch, f"steps of {name} before this one", number - last - 1))
+            gap = Gap(epoch, f"steps of {name} before this one", number - last - 1)
+            self.add(gap)
+            if gap.count == 1:
+                self._skipped[name] = (stream, number - 1, gap)
+        elif self._skipped.get(name, ("", 0))[:2] == (stream, number):
+            self._found(self._skipped.pop(name)[2])
         self._streams[name] = (stream, max(number, last))
         self._first.setdefault(name, epoch)
         if self.epochs is not None and self.cut is None and self.first:
             self.end(self.first + self.epochs - 1)
+
+    def _found(self, gap: Gap) -> None:
+        """It came later than the next one: where a process goes on in another session, the two have a link each."""
+        self._lost -= gap.count
+        if gap in self._gaps:
+            self._gaps.remove(gap)
 
     def add(self, gap: Gap) -> None:
         """Something is known to lack."""

@@ -23,6 +23,7 @@ from hierax.runtime.recording.writing import Target
 from hierax.runtime.transport.bus_tap import BusTap
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.watch.logs import log_console
+from hierax.schemas.access import Access
 from hierax.schemas.keys import Keys
 
 BATCH_S = 0.05  # how long what is heard may wait to be written
@@ -38,21 +39,21 @@ LISTENING, DONE, FAILED = "listening", "done", "failed"
 
 class LiveRecording:
     """A recorder at work: hears a run of an endpoint's hub, until it is told to stop. The settings are Zenoh's own, the
-    host is this machine's for processes on others, the secret is the run's, and it `watches` where nobody
-    else tells when the launch is over, and how far it came. Raises `HieraxError` if the run cannot be reached."""
+    secret is the run's, which says who has roles of their own in it (`access`), and it `watches` where nobody else
+    tells when the launch is over, and how far it came. Raises `HieraxError` if the run cannot be reached."""
 
     def __init__(
         self,
         recorder: Recorder,
         endpoint: str,
+        access: Access,
         settings: Any = None,
-        host: str | None = None,
         watches: bool = False,
         secret: str = "",
     ) -> None:
         self._recorder = recorder
         self._keys = Keys(recorder.info.hierarchy, recorder.info.run)
-        self._ear = BusTap(endpoint, self._keys, settings, host, secret)
+        self._ear = BusTap(endpoint, self._keys, access, settings, secret)
         self._reach = (endpoint, settings, self._keys, secret)
         self._stopping = False
         self._last: int | None = None
@@ -142,7 +143,8 @@ def main() -> int:
         info, selection = RunInfo.read(order["info"]), Selection(**order["selection"])
         file = Target(Path(order["file"]), order["descriptor"]) if order["file"] else None
         recorder = Recorder(info, file, order["check"], selection)
-        recording = LiveRecording(recorder, order["endpoint"], order["settings"], order["host"], secret=order["secret"])
+        access = Access.read(order["access"])
+        recording = LiveRecording(recorder, order["endpoint"], access, order["settings"], secret=order["secret"])
         _say({"status": LISTENING})
         threading.Thread(target=_obey, args=(recording,), daemon=True).start()
         ending = recording.record()

@@ -22,9 +22,10 @@ MESSAGE, STEP, ROSTER, EPOCH, NOTE, CONTROL, TOKEN = "message", "step", "roster"
 """What there is in a recording."""
 
 _EDGE_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
-_BY_SEGMENT = {"steps": STEP, "roster": ROSTER, "epochs": EPOCH, "notes": NOTE, "control": CONTROL, "alive": TOKEN}
+_BY_SEGMENT = {"steps": STEP, "roster": ROSTER, "epochs": EPOCH, "notes": NOTE, "alive": TOKEN}
+_BY_SEGMENT |= {"control": CONTROL, "words": CONTROL}  # what processes, and the roster's owner, are told
 _ROOT_SEGMENTS = 3
-LEAVABLE = ("obs", "task", "ctx", "steps", "notes", "control", "alive")
+LEAVABLE = ("obs", "task", "ctx", "steps", "notes", "control", "words", "alive")
 """What a key begins with that may be left out; the roster and the digests are always recorded."""
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([kMGT]?)(i?)B?")
@@ -213,9 +214,9 @@ def read_size(text: str) -> int:
     return int(float(found[1]) * (1024 if found[3] else 1000) ** _POWERS[found[2]])
 
 
-def read_duration(text: str) -> float:
+def read_duration(text: str, option: str = "--max-duration") -> float:
     """Seconds, such as ``90``, ``90s``, ``15m`` or ``2h``. Raises `RecordingError` if it is no time."""
-    found = _measured(_DURATION, text, "--max-duration", "a time, such as 90s, 15m or 2h")
+    found = _measured(_DURATION, text, option, "a time, such as 90s, 15m or 2h")
     return float(found[1]) * _SECONDS[found[2]]
 
 

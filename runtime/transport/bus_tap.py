@@ -1,4 +1,4 @@
-"""Both ends of a recording: where a node tells its steps, and where a recorder hears all that is said."""
+"""Both ends of a recording: where a node tells its steps, and the world its epochs, and where a recorder hears all."""
 
 import logging
 import threading
@@ -9,18 +9,23 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.control import SUPERVISOR, answers_on
+from hierax.runtime.host.run_secret import certificates_of
+from hierax.runtime.transport.access_control import access_control
+from hierax.runtime.transport.control import answers_on
 from hierax.runtime.transport.port import Sample, TransportError
-from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, endpoint_at, open_session
+from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
+from hierax.schemas.access import READER, Access
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import is_lent
-from hierax.schemas.values import Value
+from hierax.schemas.values import Value, encode_value
 
 CHANNEL_SIZE = 4096  # how many samples wait for the thread that takes them in; when it is full, their senders wait
 QUEUE_BYTES = 512 << 20  # how much may wait for the disk; what is more is dropped, counted and named
 
 ANSWER_TIMEOUT_S = 2.0
+KNOWN_S = 10.0  # how long it may take until who listens is known in another session
+LOOK_S = 0.01
 
 BATCH_BYTES = 16 << 20  # with so much there is nothing to wait for
 
@@ -31,17 +36,26 @@ class StepPublisher:
     """A node's end: tells steps and rosters while somebody listens, and nothing else."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
+        self._keys, self._name = keys, name
         self._changed = threading.Event()
+        self.heard = False  # whether somebody listens
+        self.move(session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Tell them in an open session, as soon as who listens is known there."""
 
         def publisher(key: str) -> Any:
             return session.declare_publisher(
                 key, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.DATA
             )
 
-        self._steps = publisher(keys.steps(name))
-        self._roster = publisher(keys.roster)
-        self._listener = self._steps.declare_matching_listener(self._on_matching)
-        self.heard = bool(self._steps.matching_status.matching)  # whether somebody listens
+        steps = publisher(self._keys.steps(self._name))
+        until_s = time.monotonic() + KNOWN_S
+        while self.heard and not steps.matching_status.matching and time.monotonic() < until_s:
+            time.sleep(LOOK_S)
+        self._steps, self._roster = steps, publisher(self._keys.roster)
+        self._listener = steps.declare_matching_listener(self._on_matching)
+        self.heard = bool(steps.matching_status.matching)
 
     def wait(self, timeout_s: float) -> bool:
         if not self.heard:
@@ -71,6 +85,23 @@ class StepPublisher:
             _log.info("a step is not told: %s", error)  # closing: the recorder finds that it lacks
 
 
+class EpochPublisher:
+    """Tells whoever listens each committed epoch and its digest; nothing waits for it."""
+
+    def __init__(self, session: zenoh.Session, keys: Keys) -> None:
+        self._key = keys.epochs
+        self.move(session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Tell it in an open session."""
+        self._publisher = session.declare_publisher(
+            self._key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
+        )
+
+    def __call__(self, epoch: int, digest: bytes) -> None:
+        self._publisher.put(encode_value((epoch, digest)))
+
+
 def _is_lent(data: bytes) -> bool:
     """Whether only its receiver can read a message: it was sent before its sender knew that somebody listens here, and
     belongs to an epoch before those that are heard as a whole."""
@@ -84,18 +115,20 @@ class BusTap:
     """A recorder's end: takes in all that is said in a run as it comes, and keeps it until it is asked for.
 
     A thread of its own takes samples in, so that nobody waits for the disk; shared memory is copied at once. What the
-    queue cannot hold is dropped, and told by `dropped`. Raises `TransportError` if the hub cannot be reached.
+    queue cannot hold is dropped, and told by `dropped`. It listens at no address, so from another machine it reaches a
+    run that cannot reach it. Raises `TransportError` if the hub cannot be reached.
     """
 
     def __init__(
         self,
         endpoint: str,  # of the run's hub
         keys: Keys,  # of the run
+        access: Access,  # who has roles of their own in the run
         zenoh_config: ZenohConfig = None,  # Zenoh's own configuration
-        host: str | None = None,  # address of this machine at which others may link; None: this machine's only
         secret: str = "",  # of the run; empty: it is open
     ) -> None:
-        self._session = open_session((endpoint_at(host, secret),), (endpoint,), zenoh_config, secret=secret)
+        listed = access_control(keys, access) if certificates_of(secret) else None
+        self._session = open_session((), (endpoint,), zenoh_config, secret=secret, role=READER, access=listed)
         self._keys = keys
         self._queue: deque[Sample] = deque()
         self._waiting = 0
@@ -129,7 +162,7 @@ class BusTap:
     def ask(self, question: Value, timeout_s: float = ANSWER_TIMEOUT_S) -> Value:
         """Ask the launch's supervisor something, in the session that listens; None: it does not answer."""
         try:
-            answers = answers_on(self._session, self._keys.control(SUPERVISOR), question, timeout_s)
+            answers = answers_on(self._session, self._keys.launch, question, timeout_s)
             return next((answer for _, answer in answers), None)
         except (zenoh.ZError, SchemaError):
             return None
@@ -146,8 +179,9 @@ class BusTap:
             except zenoh.ZError:
                 break  # the session is closed
             data = b"" if sample is None else sample.payload.to_bytes()
-            if sample is not None and not _is_lent(data):
-                self._add(Sample(time.time_ns(), str(sample.key_expr), data))
+            key = "" if sample is None else str(sample.key_expr)
+            if key and "*" not in key and not _is_lent(data):  # what is said on many keys at once, no node has said
+                self._add(Sample(time.time_ns(), key, data))
         with self._changed:
             self._closed = True
             self._changed.notify()

@@ -13,19 +13,19 @@ import zenoh
 
 from hierax.schemas.control import Control, decode_control, encode_control
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.keys import Keys
+from hierax.schemas.keys import Keys, node_of
 from hierax.schemas.limits import MAX_QUESTION_BYTES, MAX_STATE_BYTES
 from hierax.schemas.values import Value, decode_value, encode_value
 
-OWNER = "owner"  # the owner's address among the control keys; a process's is its token
-SUPERVISOR = "keeper"  # the supervisor's address among them
+CHANGES = ("change", "await")  # what a supervisor is asked on the key of changes; the rest is asked where all may look
 
 _log = logging.getLogger("hierax")
 
 Reply = Callable[[Value], None]  # sends the answer to a question; any thread may call it
+OnQuestion = Callable[[Value, Reply], None]
 
 
-def answer_questions(session: zenoh.Session, key: str, on_question: Callable[[Value, Reply], None]) -> Any:
+def answer_questions(session: zenoh.Session, key: str, on_question: OnQuestion) -> Any:
     """Have the questions on a key answered; what is no question is refused. Its `undeclare` stops that.
 
     `on_question` is called with each and what sends the answer, in a thread of Zenoh's: it must not take long."""
@@ -77,10 +77,16 @@ class InspectionEndpoint:
     """A node's end of what tools see of a launch (theirs is `LaunchClient`): takes questions in, shows what it says."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
-        self._session = session  # an open session
+        self._name = name
         self._keys = keys  # of the run
         self._questions: deque[tuple[Value, Reply]] = deque(maxlen=QUESTIONS)
-        self._queryable = answer_questions(session, keys.look(name), lambda *asked: self._questions.append(asked))
+        self.move(session)
+
+    def move(self, session: zenoh.Session) -> None:
+        """Take questions in, and show things, in an open session."""
+        key = self._keys.look(self._name)
+        self._queryable = answer_questions(session, key, lambda *asked: self._questions.append(asked))
+        self._session = session
 
     def questions(self) -> Iterator[tuple[Value, Reply]]:
         """What was asked since the last time, each with what gives the answer."""
@@ -110,29 +116,33 @@ class ControlLine:
     """Control messages of one process."""
 
     session: zenoh.Session  # an open session
-    keys: Keys  # of the run
-    address: str  # where this end is reached
+    key: str  # where this end is told things; where its last part is ``*``, by nodes, each on the key of its name
     accepts: tuple[type, ...]  # the kinds of messages that are for this end; others are refused, and logged
     heard: Callable[[Control, int], None]  # told each message and its bytes, in Zenoh's thread: must not take long
     most_bytes: int | None = None  # what the session's links carry; None: any. Longer ones are not sent, and logged
 
     def __post_init__(self) -> None:
-        self._subscriber: Any = self.session.declare_subscriber(self.keys.control(self.address), self._on_sample)
+        self.move(self.session)
 
-    def send(self, address: str, control: Control) -> None:
-        """Send a message; any thread may call it."""
+    def move(self, session: zenoh.Session) -> None:
+        """Go on in a session: what was heard in the one before is heard there until that is closed."""
+        self._subscriber: Any = session.declare_subscriber(self.key, self._on_sample)
+        self.session = session
+
+    def send(self, key: str, control: Control) -> None:
+        """Send a message to who is told things on a key; any thread may call it."""
         try:
             data = encode_control(control)
         except SchemaError as error:
-            _log.warning("not sent: %s for %s: %s", type(control).__name__, address, error)
+            _log.warning("not sent: %s on %s: %s", type(control).__name__, key, error)
             return
         if self.most_bytes is not None and len(data) > self.most_bytes:
             what = f"{type(control).__name__} of {len(data)} bytes"
-            _log.warning("not sent: %s for %s; low-latency links carry at most %d", what, address, self.most_bytes)
+            _log.warning("not sent: %s on %s; low-latency links carry at most %d", what, key, self.most_bytes)
             return
         try:
             self.session.put(
-                self.keys.control(address),
+                key,
                 data,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.INTERACTIVE_HIGH,
@@ -155,7 +165,15 @@ class ControlLine:
         except SchemaError as error:
             _log.warning("dropped what is no control message: %s", error)
             return
-        if isinstance(control, self.accepts):
-            self.heard(control, size)
+        if not isinstance(control, self.accepts):
+            _log.warning("refused %s on %s: nobody says that there", type(control).__name__, self.key)
+        elif self.key.endswith("/*") and not _is_said_by(str(sample.key_expr).rpartition("/")[2], control):
+            _log.warning("refused %s: %s says it in another one's name", type(control).__name__, sample.key_expr)
         else:
-            _log.warning("refused %s for %s: nobody says that there", type(control).__name__, self.address)
+            self.heard(control, size)
+
+
+def _is_said_by(name: str, control: Control) -> bool:
+    """Whether a message is of a node, and of a process of its."""
+    process = getattr(control, "process", name)
+    return getattr(control, "name", "") == name and node_of(process) == name

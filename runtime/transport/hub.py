@@ -3,20 +3,21 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.control import SUPERVISOR, Reply, answer_questions
+from hierax.runtime.transport.control import OnQuestion, answer_questions
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, endpoint_at, free_endpoint, open_session
+from hierax.schemas.access import LAUNCH
 from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_NUMBER
-from hierax.schemas.values import Value, decode_value, encode_value
+from hierax.schemas.values import decode_value, encode_value
 
 INTRODUCE_S = 0.3  # how long it takes at most until everybody has heard of everybody
 LEAVE_S = 1.0  # how long processes that are kept elsewhere may take to go when the run is over
@@ -31,7 +32,8 @@ _log = logging.getLogger("hierax")
 class Hub:
     """A session that every process connects to and gossips through; messages of the run don't pass it.
 
-    `progress` is told each committed epoch and its digest, from a thread of Zenoh's; `host`: as `BusTap` has it. Raises
+    `progress` is told each committed epoch and its digest, from a thread of Zenoh's; at `host`, an address of this
+    machine, others may link; None: this machine's alone. Raises
     `TransportError` if Zenoh refuses its configuration, or no endpoint could be listened on.
     """
 
@@ -42,30 +44,33 @@ class Hub:
         progress: Callable[[int, bytes], None] | None,
         host: str | None = None,
         secret: str = "",
+        access: Mapping[str, Any] | None = None,
     ) -> None:
         self.secret = secret  # of the run; empty: it is open to whoever reaches it
-        self.endpoint, self._session = _listen(zenoh_config, host, secret)
-        self._keys = keys  # of the run
+        self._access = access  # as `open_session` has it
         self._zenoh_config, self._host = zenoh_config, host
+        self.endpoint, self._session = self._listen()
+        self._keys = keys  # of the run
         self._living: set[str] = set()
         self._introduces = threading.Lock()
-        self._queryable: Any = None
+        self._queryables: list[Any] = []
         self._watcher: Any = None
         self._on_gone: Callable[[str, str], object] | None = None
         self._subscriber: Any = None
         if progress is not None:
             self._subscriber = self._session.declare_subscriber(keys.epochs, _epoch_listener(progress))
 
-    def serve(self, on_question: Callable[[Value, Reply], None]) -> None:
-        """Answer what the supervisor is asked: `on_question` is given the question, and what sends the answer."""
-        self._queryable = answer_questions(self._session, self._keys.control(SUPERVISOR), on_question)
+    def serve(self, on_look: OnQuestion, on_change: OnQuestion | None = None) -> None:
+        """Answer what the supervisor is asked by who looks at the launch, and by who wants it to change: each is given
+        the question, and what sends the answer."""
+        asked = {self._keys.launch: on_look, self._keys.changes: on_change}
+        self._queryables = [answer_questions(self._session, key, each) for key, each in asked.items() if each]
 
     def stop_serving(self) -> None:
         """Answer nothing any more, and tell of nobody who goes."""
         self._on_gone = None
-        if self._queryable is not None:
-            self._queryable.undeclare()
-        self._queryable = None
+        while self._queryables:
+            self._queryables.pop().undeclare()
 
     def watch(self, on_gone: Callable[[str, str], object]) -> None:
         """Tell of every process of a node that is gone, or cut off: the node's name and the process's token."""
@@ -95,8 +100,7 @@ class Hub:
         if process not in self._living or not self._introduces.acquire(blocking=False):
             return  # it is dead; or all are just being told
         try:
-            listen = endpoint_at(self._host, self.secret)
-            session = open_session([listen], [self.endpoint], self._zenoh_config, False, secret=self.secret)
+            session = self._open(endpoint_at(self._host, self.secret), [self.endpoint])
             time.sleep(INTRODUCE_S)
             close_session(session)
         except TransportError as error:
@@ -136,15 +140,18 @@ class Hub:
     def close(self) -> None:
         close_session(self._session)
 
+    def _listen(self) -> tuple[str, zenoh.Session]:
+        """Somebody else may take the free endpoint before we do; then another one is tried."""
+        for _ in range(_TRIES - 1):
+            endpoint = free_endpoint(self._host, self.secret)
+            with suppress(TransportError):
+                return endpoint, self._open(endpoint)
+        endpoint = free_endpoint(self._host, self.secret)
+        return endpoint, self._open(endpoint)
 
-def _listen(zenoh_config: ZenohConfig, host: str | None, secret: str) -> tuple[str, zenoh.Session]:
-    """Somebody else may take the free endpoint before we do; then another one is tried."""
-    for _ in range(_TRIES - 1):
-        endpoint = free_endpoint(host, secret)
-        with suppress(TransportError):
-            return endpoint, open_session([endpoint], zenoh_config=zenoh_config, shared_memory=False, secret=secret)
-    endpoint = free_endpoint(host, secret)
-    return endpoint, open_session([endpoint], zenoh_config=zenoh_config, shared_memory=False, secret=secret)
+    def _open(self, endpoint: str, connect: Sequence[str] = ()) -> zenoh.Session:
+        config, secret, access = self._zenoh_config, self.secret, self._access
+        return open_session([endpoint], connect, config, False, secret=secret, role=LAUNCH, access=access)
 
 
 def _epoch_listener(progress: Callable[[int, bytes], None]) -> Callable[[zenoh.Sample], None]:

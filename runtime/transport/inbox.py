@@ -14,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Container
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import zenoh
 
@@ -34,9 +34,10 @@ SAMPLE_BYTES = 64 * 1024  # as what a message counts at least: the buffer that Z
 class Inbox:
     """The messages for one node, in the order in which they came."""
 
-    def __init__(self, subscriber: zenoh.Subscriber[Any], wake: Callable[[], None]) -> None:
+    def __init__(self, subscriber: zenoh.Subscriber[Any] | None, wake: Callable[[], None]) -> None:
         self.interrupted = False  # whether the node's thread is to look elsewhere; who takes messages ends that
-        self._subscriber = subscriber  # to their keys, with a queue of `QUEUE_SIZE`
+        # to their keys, with a queue of `QUEUE_SIZE`; None: it is yet to come
+        self._subscriber = cast("zenoh.Subscriber[Any]", subscriber)
         self._wake = wake  # puts something there; waits while it is full
         self._deciding = threading.Lock()  # held for no longer than it takes to see whether the node's thread sleeps
         self._sleeps = False
@@ -48,6 +49,18 @@ class Inbox:
         self._taken_before = 0  # likewise, when the other one looked in last
         self._blind = 0  # in how many of the next waits nothing is looked for
         self._blinded = LEAST_BLIND  # in how many it was last
+
+    @staticmethod
+    def handler() -> Any:
+        """What a subscriber has to have."""
+        return zenoh.handlers.FifoChannel(QUEUE_SIZE)
+
+    def move(self, subscriber: zenoh.Subscriber[Any]) -> None:
+        """Take messages from another queue from now on, after those that are in the one before."""
+        with self._taking:
+            while self._subscriber is not None and (sample := self._subscriber.try_recv()) is not None:
+                self._keep(sample, _bytes(sample))
+            self._subscriber = subscriber
 
     def interrupt(self) -> None:
         """Have the node's thread look at something else than messages; any thread may, and none waits for long."""

@@ -11,15 +11,19 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import Any
 
 import zenoh
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.run_secret import whose
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.transport.control import SUPERVISOR, answers_on
+from hierax.runtime.transport.access_control import launch_alone
+from hierax.runtime.transport.control import CHANGES, answers_on
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, address_of, close_session, open_session
+from hierax.schemas.access import OPERATOR, READER
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys, is_name
 from hierax.schemas.roster import Change, Roster
@@ -103,15 +107,20 @@ def _is_row(row: Value) -> bool:
 class LaunchClient:
     """Asks one launch, in a session of its own, on that run's keys alone. Raises `TransportError`."""
 
+    _role = OPERATOR  # whose key it has; the run's own will do for it
+
     def __init__(
         self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None, secret: str = ""
     ) -> None:
         self.endpoint = endpoint  # of the hub
         self._keys = keys  # of the run; None: they are found out, which fails where several answer
+        self._role, until = whose(secret) or (self._role, None)
         try:  # a client, as the processes of the run would link to a peer
-            self._session = open_session((), [endpoint], zenoh_config, False, "client", secret=secret)
+            self._session = open_session(
+                (), [endpoint], zenoh_config, False, "client", secret=secret, role=OPERATOR, access=launch_alone()
+            )
         except TransportError as error:
-            what = f"{error}{_hint(endpoint, secret)}"
+            what = f"{error}{_hint(endpoint, secret, until)}"
             raise TransportError(f"the launch at {endpoint} cannot be reached: {what}") from error
 
     def keys(self) -> Keys:
@@ -123,7 +132,8 @@ class LaunchClient:
     def ask(self, question: Value, timeout_s: float = 60.0) -> Answer:
         """What the supervisor answers (see `launch.requests`). Raises `AnswerError` if it refuses."""
         patience = time.monotonic() + FIND_TIMEOUT_S
-        key = self.keys().control(SUPERVISOR)
+        changes = isinstance(question, dict) and question.get("ask") in CHANGES
+        key = self.keys().changes if changes else self.keys().launch
         while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
             for _, answer in self._get(key, question, timeout_s):
                 if not isinstance(answer, dict):
@@ -152,6 +162,8 @@ class LaunchClient:
     def change(self, change: Change, terms: Mapping[str, object], here: bool = False, host: str = "") -> Answer:
         """Have the roster change, with terms of new nodes' processes; what the launch answers when the change counts,
         or at once, where its processes are kept `here`. Raises `AnswerError` if it is refused."""
+        if self._role == READER:
+            raise AnswerError("the key is a reader's, who looks and changes nothing; expected an operator's")
         told = {name: vars(each) for name, each in terms.items()}
         question = {"ask": "change", "change": change.plain(), "terms": told, "here": here, "host": host, "by": _self()}
         return self.ask(question, CHANGE_TIMEOUT_S)
@@ -215,7 +227,9 @@ class LaunchClient:
         """Have `heard` called with key and bytes of every sample on matching keys, in a thread of Zenoh's."""
 
         def on_sample(sample: zenoh.Sample) -> None:
-            heard(str(sample.key_expr), sample.payload.to_bytes())
+            said = str(sample.key_expr)
+            if "*" not in said:  # else it is on many keys at once, and no node says that
+                heard(said, sample.payload.to_bytes())
 
         try:
             self._session.declare_subscriber(key, on_sample)
@@ -242,7 +256,7 @@ class LaunchClient:
         patience = time.monotonic() + FIND_TIMEOUT_S
         while time.monotonic() < patience:
             found: set[tuple[str, str]] = set()
-            for key, answer in self._get(Keys("*", "*").control(SUPERVISOR), {"ask": "ps"}, FOUND_TIMEOUT_S):
+            for key, answer in self._get(Keys("*", "*").launch, {"ask": "ps"}, FOUND_TIMEOUT_S):
                 hierarchy, run = key.split("/")[1:3]
                 if isinstance(answer, dict) and (answer.get("hierarchy"), answer.get("run")) == (hierarchy, run):
                     found.add((hierarchy, run))
@@ -260,8 +274,10 @@ def _self() -> str:
     return f"user {os.getuid()} on {socket.gethostname()}, process {os.getpid()}"
 
 
-def _hint(endpoint: str, secret: str) -> str:
+def _hint(endpoint: str, secret: str, until: datetime | None) -> str:
     """What may be wrong where no link came to be; Zenoh tells nobody why it refuses one."""
+    if until is not None and until < datetime.now(timezone.utc):
+        return f"; this key was good until {until.astimezone():%Y-%m-%d %H:%M:%S}"
     if not _answers(endpoint):
         return ""
     if secret:

@@ -97,6 +97,13 @@ class SharedInbox:
         if not full:
             self._put(sample)
 
+    def handler(self) -> Any:
+        """What a subscriber has to have."""
+        return zenoh.handlers.Callback(self.arrive, indirect=False)
+
+    def move(self, subscriber: zenoh.Subscriber[None]) -> None:
+        """What another subscriber calls comes to the same queue."""
+
     def interrupt(self) -> None:
         """Have the node's thread look at something else than messages; any thread may, and none waits."""
         if not self.interrupted:

@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 from numpy.typing import NDArray
 
-from hierax.runtime.transport.inbox import QUEUE_SIZE, Inbox
+from hierax.runtime.transport.inbox import Inbox
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.rendezvous import AbsentProcesses, Handshake, Rendezvous
 from hierax.runtime.transport.shared_arrays import ForeignArrayError, Lender, LostArrayError, SharedArrays
@@ -22,7 +22,6 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.messages import HELLO, NO_EXTENSIONS, TASKS, Lend, Message, decode_message, encode_message
-from hierax.schemas.values import encode_value
 
 _log = logging.getLogger("hierax")
 
@@ -84,26 +83,30 @@ class ZenohPort(Port):
         self._shaking = threading.Lock()
         self.absent = AbsentProcesses()  # processes of the run whose links broke, or whose first ones did not open
         self._own_key = keys.edge(INTERRUPT, name, name)
-        self._inbox: Inbox | SharedInbox
+        self._inbox: Inbox | SharedInbox = Inbox(None, self._wake)
+        if beside is not None:
+            self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
+        self._signs: tuple[Any, ...] = ()  # its token, and what tells of others'
         try:
             with self._declaring:
-                self._open(session, keys, beside)
+                self.move(session)
         except zenoh.ZError as error:
             raise TransportError(f"{name}: Zenoh: {error}") from error
 
-    def _open(self, session: zenoh.Session, keys: Keys, beside: Neighbours | None) -> None:
-        if beside is None:
-            queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
-            self._subscriber: Any = session.declare_subscriber(keys.inbox(self._name), queue)
-            self._inbox = Inbox(self._subscriber, self._wake)
-        else:
-            self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
-            at_once = zenoh.handlers.Callback(self._inbox.arrive, indirect=False)
-            self._subscriber = session.declare_subscriber(keys.inbox(self._name), at_once)
-        liveliness = session.liveliness()
-        # a token that nobody refers to undeclares itself
-        self._token = liveliness.declare_token(keys.alive(self._name, self._process))
-        self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
+    def move(self, session: zenoh.Session) -> None:
+        """Go on in an open session, while the one before is open yet. For neighbours it is as if the links had broken,
+        and were there again: greetings, and what follows, mend what was under way."""
+        keys, liveliness = self._keys, session.liveliness()
+        self._subscriber = session.declare_subscriber(keys.inbox(self._name), self._inbox.handler())
+        self._inbox.move(self._subscriber)
+        self._before = self._signs  # a token that nobody refers to undeclares itself
+        token = liveliness.declare_token(keys.alive(self._name, self._process))
+        self._signs = (token, liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True))
+        self._publishers = {lane: self._publisher(session, *lane) for lane in self._publishers}
+        self._session = session
+        for peer in {peer for link in self._links.values() for peer in link.rendezvous.handshakes}:
+            self._lost(peer)
+        self.greet()
 
     @property
     def ready(self) -> bool:
@@ -205,7 +208,7 @@ class ZenohPort(Port):
     def _leave(self, beside: Neighbours) -> None:
         """Others go on in the session."""
         beside.pop(self._process).close()
-        for declared in (self._births, self._subscriber, *self._publishers.values(), self._token):
+        for declared in (*self._publishers.values(), self._subscriber, *self._signs):
             with suppress(zenoh.ZError), self._declaring:
                 declared.undeclare()
         self._publishers = {}
@@ -214,17 +217,20 @@ class ZenohPort(Port):
         for peer, kind in rendezvous.lanes_out:
             if (kind, peer) in self._publishers:
                 continue
-            self._publishers[kind, peer] = self._session.declare_publisher(
-                self._keys.edge(kind, self._name, peer),
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.REAL_TIME,
-                reliability=zenoh.Reliability.RELIABLE,
-                # a task message is followed by context, and leaves in the same batch
-                express=kind != TASKS,
-            )
+            self._publishers[kind, peer] = self._publisher(self._session, kind, peer)
             if self._shared is not None:
                 self._lends[kind, peer] = partial(self._lend, self._shared.lender, (kind, peer))
         self._lanes = {**self._lanes, **self._lanes_of(rendezvous)}
+
+    def _publisher(self, session: zenoh.Session, kind: str, peer: str) -> Any:
+        return session.declare_publisher(
+            self._keys.edge(kind, self._name, peer),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.REAL_TIME,
+            reliability=zenoh.Reliability.RELIABLE,
+            # a task message is followed by context, and leaves in the same batch
+            express=kind != TASKS,
+        )
 
     def _lanes_of(self, rendezvous: Rendezvous) -> Mapping[str, Lane]:
         edge, name = self._keys.edge, self._name
@@ -387,11 +393,3 @@ class ZenohPort(Port):
             return None
         handshake = link.rendezvous.handshakes.get(header.receiver)
         return None if handshake is None else beside.get(handshake.peer_process)
-
-
-def epoch_publisher(session: zenoh.Session, keys: Keys) -> Callable[[int, bytes], None]:
-    """What tells whoever listens each committed epoch and its digest; nothing waits for it."""
-    publisher = session.declare_publisher(
-        keys.epochs, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
-    )
-    return lambda epoch, digest: publisher.put(encode_value((epoch, digest)))

@@ -20,19 +20,22 @@ from typing import Any, Literal, TypeAlias
 import zenoh
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.run_secret import USER, authority_of, dictionary, token_of
+from hierax.runtime.host.run_secret import USER, certificates_of, dictionary, issued, pems_of, token_of
 from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.transport.port import TransportError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES, MAX_QUESTION_BYTES
 
-LOOPBACK = "tcp/127.0.0.1:0"  # where a session listens unless told otherwise: a free port that no other machine reaches
+OWN_ADDRESS = "127.0.0.1"  # where this machine alone reaches itself
+LOOPBACK = (
+    f"tcp/{OWN_ADDRESS}:0"  # where a session listens unless told otherwise: a free port that no other machine reaches
+)
 
 ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
 
 LOGGED = (
     "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off,zenoh_transport::unicast::establishment=off,"
-    "zenoh_codec=off"
+    "zenoh_codec=off,zenoh::net::routing::hat::peer=off"
 )
 """What Zenoh prints, where RUST_LOG says nothing.
 
@@ -41,7 +44,8 @@ declare to it, and gossip may come over a link that has just gone: Zenoh drops t
 more than greetings, which are said again until they are answered, and news that come again by another link. A link
 that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut; what
 cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a line for each
-connection, with which anybody who reaches a port could fill a log.
+connection, with which anybody who reaches a port could fill a log; as could who declares what it may not, and takes it
+back: then Zenoh says that it knows nothing of it.
 """
 
 _OF_DOORS = (
@@ -70,6 +74,9 @@ LONGEST_BYTES = MAX_MESSAGE_BYTES + 64 * 1024
 LONGEST_SHORT_BYTES = MAX_QUESTION_BYTES + 64 * 1024
 """Likewise, where links are low-latency ones: questions are the longest that such a process hears."""
 
+LINKS_S = 10.0  # how long another session of a process may take to have the links that the one before has
+LINKS_LOOK_S = 0.02
+
 CLOSE_TIMEOUT_S = 1.0
 EXIT_TIMEOUT_S = 3.0  # how long the interpreter's end waits for sessions that were not closed by then
 CALLBACKS_END_S = 0.5
@@ -85,6 +92,7 @@ _QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^
 
 _ADMISSION = "transport/auth/usrpwd"
 ENCRYPTION = "transport/link/tls"
+_ACCESS = "access_control"
 
 _SHARED_MEMORY = Path("/dev/shm")
 _IPC_LOCK = 14  # the capability with which limits on locked memory do not count
@@ -104,6 +112,8 @@ def open_session(
     # buffers between them are full. Links to others are as ever.
     low_latency: bool = False,
     secret: str = "",  # links are to sessions alone that have the same; empty: to any that have none
+    role: str = "",  # whose certificate it shows, where the secret is not that of one role already
+    access: Mapping[str, Any] | None = None,  # where links are encrypted, Zenoh's list of who may do what; None: all
 ) -> zenoh.Session:
     """Open a session. Raises `TransportError` if Zenoh refuses the settings, or cannot listen."""
     zenoh.init_log_from_env_or(LOGGED)
@@ -116,8 +126,11 @@ def open_session(
         "connect/retry": {"period_init_ms": 10, "period_max_ms": 200, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
-        # one of two peers opens the link: else both do, and one of the two links is closed again
-        "scouting/gossip/autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
+        # one of two peers opens the link: else both do, and one of the two links is closed again; where one of them
+        # listens nowhere, it has to be that one
+        "scouting/gossip/autoconnect_strategy": {
+            "peer": {"to_router": "always", "to_peer": "greater-zid" if listen else "always"}
+        },
         "scouting/delay": 0,
         "transport/link/tx/lease": LEASE_MS,
         "transport/link/rx/max_message_size": LONGEST_SHORT_BYTES if low_latency else LONGEST_BYTES,
@@ -129,26 +142,22 @@ def open_session(
         with dictionary(secret) as file:
             if secret:
                 ours[_ADMISSION] = {"user": USER, "password": token_of(secret), "dictionary_file": file}
-            if authority_of(secret):
-                ours |= encrypted(authority_of(secret), listen)
+            if certificates_of(secret):
+                ours |= encrypted(issued(secret, role, [address_of(endpoint)[0] for endpoint in listen]), access)
             config = _configured(ours, zenoh_config)
             _set_low_latency(config, low_latency)
             return _opened(config)
+    except HieraxError as error:
+        raise TransportError(str(error)) from None
     except zenoh.ZError as error:  # whose own words may quote a password
         lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
         raise TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))) from None
 
 
-def encrypted(authority: str, listen: Sequence[str]) -> dict[str, Any]:
-    """Settings with which links are encrypted, and both ends show certificates; no others are taken. Raises
-    `TransportError` if the authority is none."""
-    from hierax.runtime.host.run_certificates import certificate  # few runs need it, and it takes a while
-
-    try:
-        made = certificate(authority, [address_of(endpoint)[0] for endpoint in listen])
-    except HieraxError as error:
-        raise TransportError(str(error)) from None
-    root, shown, private = (base64.b64encode(each).decode() for each in made)
+def encrypted(secret: str, access: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Settings with which links are encrypted, and both ends show certificates: this one that of a role, whose secret
+    it is. No others are taken, and each is let do what a list says. One that has come to its end ends its links."""
+    root, shown, private = (base64.b64encode(each.encode()).decode() for each in pems_of(secret))
     ends = {
         f"{end}_{what}_base64": value
         for end in ("listen", "connect")
@@ -157,7 +166,14 @@ def encrypted(authority: str, listen: Sequence[str]) -> dict[str, Any]:
     return {
         "transport/link/protocols": ["tls"],
         # a client of Zenoh's also trusts the web's authorities: the name says that this is the run's
-        ENCRYPTION: {"root_ca_certificate_base64": root, "enable_mtls": True, "verify_name_on_connect": True, **ends},
+        ENCRYPTION: {
+            "root_ca_certificate_base64": root,
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+            **ends,
+        },
+        **({} if access is None else {_ACCESS: access}),
     }
 
 
@@ -228,15 +244,22 @@ def _await_threads() -> None:
                 thread.join(max(until_s - time.monotonic(), 0.0))
 
 
+def await_links(session: zenoh.Session, before: zenoh.Session) -> None:
+    """Wait until a session is linked to all that another one of this process is linked to; not for long."""
+    until_s = time.monotonic() + LINKS_S
+    while {*before.info.peers_zid()} - {session.zid()} - {*session.info.peers_zid()} and time.monotonic() < until_s:
+        time.sleep(LINKS_LOOK_S)
+
+
 def endpoint_at(host: str | None = None, secret: str = "", port: int = 0) -> str:
     """Where a session of a run listens, at an address of this machine, or else on its loopback; 0: at a free port.
     Raises `TransportError` if others could not tell by the address which machine it is."""
-    address = host or "127.0.0.1"
+    address = host or OWN_ADDRESS
     with suppress(ValueError):
         if ipaddress.ip_address(address).is_unspecified:
             raise TransportError(f"{address} is no address that others could link to; expected one of this machine's")
         address = f"[{address}]" if ":" in address else address
-    return f"{'tls' if authority_of(secret) else 'tcp'}/{address}:{port}"
+    return f"{'tls' if certificates_of(secret) else 'tcp'}/{address}:{port}"
 
 
 def address_of(endpoint: str) -> tuple[str, int]:
@@ -289,6 +312,8 @@ def _configured(ours: Mapping[str, Any], zenoh_config: ZenohConfig) -> zenoh.Con
     """The user's configuration, with ours where it says nothing."""
     config: zenoh.Config = _given(zenoh_config)
     default = zenoh.Config()
+    if ENCRYPTION in ours and config.get_json(ENCRYPTION) != default.get_json(ENCRYPTION):
+        ours = {path: value for path, value in ours.items() if path != _ACCESS}  # by names that ours alone have
     for path, value in ours.items():
         if config.get_json(path) == default.get_json(path):
             config.insert_json5(path, json.dumps(value))

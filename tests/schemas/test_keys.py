@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.keys import Keys, check_name
+from hierax.schemas.keys import Keys, check_name, check_process, node_of, process_token
 
 KEYS = Keys("tracking", "run-1")
 
@@ -15,8 +15,21 @@ def test_keys_are_the_documented_ones() -> None:
     assert KEYS.inbox("arm") == "hierax/tracking/run-1/*/*/arm"
     assert KEYS.alive("arm", 3) == "hierax/tracking/run-1/alive/arm/3"
     assert KEYS.alive("arm") == "hierax/tracking/run-1/alive/arm/*"
-    assert KEYS.control("arm") == "hierax/tracking/run-1/control/arm"
+    assert KEYS.control("arm~3f") == "hierax/tracking/run-1/control/arm~3f"
+    assert KEYS.words("arm") == "hierax/tracking/run-1/words/arm"
+    assert KEYS.launch == "hierax/tracking/run-1/launch"
+    assert KEYS.changes == "hierax/tracking/run-1/changes"
     assert KEYS.epochs == "hierax/tracking/run-1/epochs"
+
+
+def test_a_process_is_known_to_be_a_nodes_by_its_token() -> None:
+    token = process_token("arm.left", "3f")
+    assert check_process(token) == token == "arm.left~3f"
+    assert node_of(token) == "arm.left"
+    assert check_process("3f") == "3f"
+    for wrong in ("arm~", "~3f", "arm~3~f", "arm~*", "a/b", 3):
+        with pytest.raises(SchemaError, match="is no process: expected at most 128 letters"):
+            check_process(wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["a", "N0", "arm.left_2-b", "9", "x" * 128])

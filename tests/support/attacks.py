@@ -20,8 +20,9 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.host.run_secret import USER, authority_of, token_of
+from hierax.runtime.host.run_secret import USER, certificates_of, issued, token_of
 from hierax.runtime.transport.zenoh_session import encrypted
+from hierax.schemas.access import OPERATOR
 
 NOBODY = 65534
 TIMEOUT_S = 300.0
@@ -103,8 +104,8 @@ def _admission(secret: str | None) -> dict[str, Any]:
     if secret is None:
         return {}
     settings: dict[str, Any] = {"transport/auth/usrpwd": {"user": USER, "password": token_of(secret)}}
-    if authority_of(secret):
-        settings |= encrypted(authority_of(secret), ["tls/127.0.0.1:0"])
+    if certificates_of(secret):
+        settings |= encrypted(issued(secret, OPERATOR, ["127.0.0.1"]))
         del settings["transport/link/protocols"]  # it tries all
     return settings
 
@@ -143,8 +144,8 @@ def _attacks(session: zenoh.Session, order: dict[str, Any]) -> Iterator[tuple[st
 
     liveliness = session.liveliness()
     session.declare_subscriber("hierax/**", lambda sample: heard.append(str(sample.key_expr)))
-    session.declare_queryable(f"{root}/control/keeper", on_query)
-    session.declare_queryable(f"{root}/look/low", on_query)
+    for key in ("launch", "changes", "look/low"):
+        session.declare_queryable(f"{root}/{key}", on_query)
     liveliness.declare_subscriber(f"{root}/**", lambda sample: tokens.append(str(sample.key_expr)), history=True)
     own = {f"{root}/alive/{name}/{token}x" for name, token in order["tokens"].items()}
     forged = [liveliness.declare_token(key) for key in sorted(own)]
@@ -156,8 +157,8 @@ def _attacks(session: zenoh.Session, order: dict[str, Any]) -> Iterator[tuple[st
         publisher.delete()
         yield f"somebody hears put and delete on {key.removeprefix(root)}", int(publisher.matching_status.matching)
         publisher.undeclare()
-    for what, question in _questions():
-        yield f"answers to {what}", _answers(session, f"{root}/control/keeper", question)
+    for what, key, question in _questions():
+        yield f"answers to {what}", _answers(session, f"{root}/{key}", question)
     yield "answers of nodes", _answers(session, f"{root}/look/*", b"\x81\xa4look\xa5state")
     yield "answers to anything", _answers(session, "**", b"\x80")
     alive = [str(reply.ok.key_expr) for reply in liveliness.get(f"{root}/**", timeout=1.0) if reply.ok]
@@ -177,13 +178,28 @@ def _attacks(session: zenoh.Session, order: dict[str, Any]) -> Iterator[tuple[st
 
 def _keys(root: str, tokens: dict[str, str]) -> list[str]:
     edges = [f"{kind}/{pair}" for kind, pair in (("obs", "world/low"), ("task", "low/world"), ("ctx", "high/low"))]
-    control = [f"control/{address}" for address in ("owner", "keeper", *tokens.values())]
-    return [f"{root}/{key}" for key in (*edges, *control, "epochs", "roster", "notes", "steps/low", "look/low")]
+    control = [f"control/{token}" for token in tokens.values()]
+    return [
+        f"{root}/{key}"
+        for key in (
+            *edges,
+            *control,
+            "words/low",
+            "launch",
+            "changes",
+            "epochs",
+            "roster",
+            "notes",
+            "steps/low",
+            "look/low",
+        )
+    ]
 
 
-def _questions() -> list[tuple[str, bytes]]:
+def _questions() -> list[tuple[str, str, bytes]]:
     detach = b"\x82\xa3ask\xa6change\xa6change\x93\xa6Detach\xa4high\xc2"
-    return [("ps", b"\x81\xa3ask\xa2ps"), ("detach", detach), ("record", b"\x82\xa3ask\xa6record\xa3pid\x00")]
+    record = b"\x82\xa3ask\xa6record\xa3pid\x00"
+    return [("ps", "launch", b"\x81\xa3ask\xa2ps"), ("detach", "changes", detach), ("record", "launch", record)]
 
 
 def _answers(session: zenoh.Session, key: str, question: bytes) -> int:

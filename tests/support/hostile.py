@@ -49,8 +49,9 @@ class Stranger:
         self.session.put(key, data, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def say(self, address: str, word: Control) -> None:
-        """Say a control message."""
-        self.put(self.keys.control(address), encode_control(word))
+        """Say a control message: to a process by its token, or to the ``owner``, in the name that it has."""
+        key = self.keys.words(getattr(word, "name", "low")) if address == "owner" else self.keys.control(address)
+        self.put(key, encode_control(word))
 
     def send(self, message: Message) -> None:
         """Send a message along an edge."""

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -285,6 +286,15 @@ class Live:
         assert self._asking.stdout is not None
         print(file=self._asking.stdin, flush=True)
         return dict(json.loads(self._asking.stdout.readline()))
+
+
+def renewed(live: Live) -> Counter[str]:
+    """How often processes of a launch have got another certificate, by the nodes that said so."""
+    lines = live.hierax("logs").stdout.splitlines()
+    return Counter(line.rpartition(f": {_RENEWED}")[0].rpartition(" ")[2] for line in lines if line.endswith(_RENEWED))
+
+
+_RENEWED = "its process shows another certificate from now on"
 
 
 def environment(folder: Path) -> dict[str, str]:

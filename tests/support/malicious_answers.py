@@ -72,9 +72,9 @@ def answer_all() -> None:
 
         def on_query(query: Any, data: bytes = data) -> None:
             with query:
-                query.reply("hierax/live/5163af85/control/keeper", data)
+                query.reply("hierax/live/5163af85/launch", data)
 
-        session.declare_queryable("hierax/live/5163af85/control/keeper", on_query)
+        session.declare_queryable("hierax/live/5163af85/launch", on_query)
         endpoints[name] = endpoint
         sessions.append(session)
     print(json.dumps(endpoints), flush=True)

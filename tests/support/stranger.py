@@ -15,7 +15,6 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.control import SUPERVISOR
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.zenoh_session import close_session, open_session
 from hierax.schemas.control import Prepare, Propose, encode_control
@@ -41,10 +40,10 @@ def main() -> None:
     refusals: list[str] = []
     try:
         for reference in order["references"]:
-            for address in (*processes.values(), "owner"):
-                put(session, keys.control(address), rosters(order["roster"], reference))
+            for key in (*map(keys.control, processes.values()), keys.words("low")):
+                put(session, key, rosters(order["roster"], reference))
         for reference in order["references"]:
-            put(session, keys.control("owner"), proposals(reference))
+            put(session, keys.words("low"), proposals(reference))
             asked = [(change, here) for change in changes(reference) for here in (False, True)]
             refusals += [supervisor_says(session, keys, change, here) for change, here in asked]
     finally:
@@ -97,7 +96,7 @@ def supervisor_says(session: zenoh.Session, keys: Keys, change: Value, here: boo
     """What the supervisor answers to who asks for a change; empty: it would make it."""
     names = list(change["nodes"]) if "nodes" in change else [change["name"]]
     question = {"ask": "change", "change": change, "terms": {name: {} for name in names}, "here": here, "host": ""}
-    replies = session.get(keys.control(SUPERVISOR), payload=encode_value(question), timeout=PATIENCE_S)
+    replies = session.get(keys.changes, payload=encode_value(question), timeout=PATIENCE_S)
     answers = [decode_value(reply.ok.payload.to_bytes(), "answer") for reply in replies if reply.ok is not None]
     return str(answers[0].get("refusal", "")) if answers else "no answer"
 

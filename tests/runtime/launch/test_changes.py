@@ -82,7 +82,7 @@ def test_low_latency_links_hand_over_short_beliefs_and_say_what_is_too_long(tmp_
         done = live.hierax("replace", "big", too)
         assert (done.returncode, done.stderr) == (1, "error: no answer from big within 5 s\n"), live.launch.err
         said = "".join(live.launch.err)
-        assert re.search(r"not sent: State of 1\d+ bytes for owner; low-latency links carry at most 32768", said)
+        assert re.search(r"not sent: State of 1\d+ bytes on \S+/words/big; low-latency links carry at most 32768", said)
         live.goes_on()
         live.is_repeated_by(*schedule)
     finally:

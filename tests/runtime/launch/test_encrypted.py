@@ -12,7 +12,7 @@ from support.launched import processes_of
 from support.live import Live, hierax
 from support.relay import Relay
 
-from hierax.runtime.host.run_secret import authority_of, new_secret, token_of
+from hierax.runtime.host.run_secret import certificates_of, new_secret, token_of
 from hierax.runtime.launch.run_file import warning_of
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
@@ -77,13 +77,13 @@ def test_nodes_are_attached_from_elsewhere_and_killed(live: Live, tmp_path: Path
 
 def test_who_shows_no_certificate_of_the_run_is_let_in_at_no_port_and_told(live: Live) -> None:
     secret, other = live.secret, new_secret(authority=True)
-    token, authority = token_of(secret), authority_of(secret)
+    token, authority = token_of(secret), certificates_of(secret)
     assert authority
     wrong = {
         "no key": "",
         "the token alone": token,
         "another run's": other,
-        "another authority": f"{token}\n{authority_of(other)}",
+        "another authority": f"{token}\n{certificates_of(other)}",
         "another token": f"{token_of(other)}\n{authority}",
     }
     run = live.run
@@ -102,7 +102,7 @@ def test_insecure_leaves_links_as_they_were(tmp_path: Path) -> None:
     plain = Live(tmp_path, "--host", "127.0.0.1", "--set", "insecure=true")
     try:
         assert plain.endpoint.startswith("tcp/")
-        assert not authority_of(plain.secret)
+        assert not certificates_of(plain.secret)
         assert plain.run["run"].encode() in heard_on_the_way(plain)
     finally:
         plain.close()

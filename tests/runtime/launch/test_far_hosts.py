@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from support.far_hosts import ARM, DESK, ROBOT, FarHosts, script, skip_without_hosts
-from support.live import Live, hierax, until
+from support.live import Live, hierax, renewed, until
 
 CUT_S = 5.0
 FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1")
@@ -175,6 +175,14 @@ def test_on_loss_detach_detaches_the_nodes_of_a_lost_host(far: FarHosts, launch:
     live.goes_on()
     assert "high" not in live.run["nodes"]
     is_repeated(live, f"{lost}:detach:high")
+
+
+def test_certificates_are_renewed_on_all_hosts(far: FarHosts, launch: Launch) -> None:
+    live = launch(far.hosts() + "certificates_s: 20\nplace: {world: robot, low: arm, high: desk}\n")
+    until(lambda: sorted(renewed(live).values()) >= [4] * 3, "new certificates", 400.0)
+    live.goes_on()
+    is_repeated(live)
+    assert said_otherwise(live) == []
 
 
 @pytest.mark.skipif(not FAKETIME.exists(), reason="a clock that goes wrong needs Debian's package faketime")

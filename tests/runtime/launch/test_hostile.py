@@ -108,7 +108,8 @@ QUESTIONS: list[object] = [
 
 
 def test_questions_that_are_none_are_refused(live: Live, stranger: Stranger) -> None:
-    for key in (*(stranger.keys.look(name) for name in live.run["nodes"]), stranger.keys.control("keeper")):
+    keys = stranger.keys
+    for key in (*(keys.look(name) for name in live.run["nodes"]), keys.launch, keys.changes):
         until(lambda key=key: stranger.ask(key, {}), f"an answer on {key}")
         for question in QUESTIONS:
             (answer,) = stranger.ask(key, question)
@@ -206,11 +207,11 @@ def test_what_is_said_in_a_nodes_name_ends_the_run_with_both_named(
 
 
 def test_of_many_changes_at_once_some_are_begun_and_the_others_refused(live: Live, stranger: Stranger) -> None:
-    keeper = stranger.keys.control("keeper")
+    keeper = stranger.keys.changes
     policy = asdict(ProcessTerms())
     pid = live.launch.process.pid
     most = 0
-    until(lambda: stranger.ask(keeper, {"ask": "ps"}), "the keeper")
+    until(lambda: stranger.ask(keeper, {}), "the keeper")
 
     def attach(number: int) -> list[Value]:
         name = f"n{number}"

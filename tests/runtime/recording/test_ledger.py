@@ -124,6 +124,17 @@ def test_steps_are_counted_in_their_stream() -> None:
     ]
 
 
+def test_a_step_that_comes_after_the_next_one_does_not_lack() -> None:
+    ledger = Ledger(from_start=True)
+    for number in (1, 3, 2, 4, 6, 7):
+        ledger.step(step("a", number, number))
+    assert [str(gap) for gap in ledger.close()[0]] == ["epoch 6: steps of a before this one"]
+    ledger = Ledger(from_start=True)
+    for number, stream in ((1, "s"), (3, "s"), (2, "t")):
+        ledger.step(step("a", number, number, stream=stream))
+    assert ledger.close()[1] == 2
+
+
 def test_a_node_that_told_nothing_is_named() -> None:
     ledger = Ledger(from_start=True)
     ledger.expect(roster_of("a", "b"))

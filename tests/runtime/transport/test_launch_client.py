@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.transport.control import SUPERVISOR
 from hierax.runtime.transport.launch_client import LaunchClient, is_gone
 from hierax.runtime.transport.zenoh_session import free_endpoint
 from hierax.schemas.keys import Keys
@@ -32,7 +31,7 @@ class FakeClient(LaunchClient):
 
     def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
         assert key.startswith("hierax/toys/5163af85/")
-        if key == self.keys().control(SUPERVISOR):
+        if key == self.keys().launch:
             yield key, self._ps
             return
         for name, answers in self._told.items():

@@ -146,9 +146,9 @@ def test_an_answer_counts_on_the_key_alone_on_which_it_was_asked_for(hub: Hub, s
 
     def answer(query: zenoh.Query) -> None:
         with query:
-            query.reply("hierax/toys/ffffffff/control/keeper", encode_value(forged))
+            query.reply("hierax/toys/ffffffff/launch", encode_value(forged))
 
-    strangers = session.declare_queryable("hierax/*/*/control/keeper", answer)
+    strangers = session.declare_queryable("hierax/*/*/launch", answer)
     until(lambda: "forged" in next(iter(_answers(session)), {}), "the stranger's answer")
     assert "forged" not in ask(hub.endpoint, {"ask": "ps"}, keys=KEYS)
     with pytest.raises(TransportError, match=r"several launches answer at .*: 5163af85 \(toys\), ffffffff \(toys\)"):
@@ -157,7 +157,7 @@ def test_an_answer_counts_on_the_key_alone_on_which_it_was_asked_for(hub: Hub, s
 
 
 def _answers(session: zenoh.Session) -> Iterator[Value]:
-    for reply in session.get("hierax/toys/ffffffff/control/keeper", timeout=1.0):
+    for reply in session.get("hierax/toys/ffffffff/launch", timeout=1.0):
         if reply.ok is not None:
             yield decode_value(reply.ok.payload.to_bytes())
 
@@ -167,5 +167,5 @@ def test_whatever_is_asked_is_refused_and_not_more(hub: Hub, session: zenoh.Sess
     supervises(hub, KEYS)
     InspectionEndpoint(session, KEYS, "arm")
     until(lambda: ask(hub.endpoint, {}, keys=KEYS), "the supervisor")
-    replies = [reply.ok for reply in session.get(KEYS.control("keeper"), payload=question, timeout=5.0)]
+    replies = [reply.ok for reply in session.get(KEYS.launch, payload=question, timeout=5.0)]
     assert all("refusal" in decode_value(reply.payload.to_bytes()) for reply in replies if reply is not None)

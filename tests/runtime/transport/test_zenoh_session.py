@@ -14,8 +14,8 @@ import zenoh
 from cryptography import x509
 from support.live import until
 
-from hierax.runtime.host.run_certificates import certificate, new_authority
-from hierax.runtime.host.run_secret import authority_of, new_secret
+from hierax.runtime.host.run_certificates import certificates, new_authority
+from hierax.runtime.host.run_secret import issued, new_secret
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import (
     ENCRYPTION,
@@ -189,23 +189,24 @@ def test_an_interpreter_that_ends_while_a_session_closes_is_not_aborted_by_its_t
 def test_a_certificate_is_good_for_the_address_at_which_its_session_listens(address: str, links: bool) -> None:
     secret = new_secret(authority=True)
     endpoint = free_endpoint(None, secret)
-    shown = encrypted(authority_of(secret), [f"tls/{address}:0"])[ENCRYPTION]
-    listener = open_session([endpoint], zenoh_config={"transport": {"link": {"tls": shown}}}, secret=secret)
+    shown = encrypted(issued(secret, "launch", [address]))[ENCRYPTION]
+    listener = open_session(
+        [endpoint], zenoh_config={"transport": {"link": {"tls": shown}}}, secret=secret, role="launch"
+    )
     settings = {"connect": {"timeout_ms": 1000}}
     try:
         if links:
-            close_session(open_session((), [endpoint], settings, mode="client", secret=secret))
+            close_session(open_session((), [endpoint], settings, mode="client", secret=secret, role="reader"))
         else:
             with pytest.raises(TransportError, match="Unable to connect"):
-                open_session((), [endpoint], settings, mode="client", secret=secret)
+                open_session((), [endpoint], settings, mode="client", secret=secret, role="reader")
     finally:
         close_session(listener)
 
 
 def test_certificates_hold_whatever_a_clock_says() -> None:
-    made = certificate(new_authority(), ["::1", "localhost"])
-    for each in (made.authority, made.shown):
-        read = x509.load_pem_x509_certificate(each)
+    made = certificates(new_authority(), "launch", ["::1", "localhost"])
+    for read in x509.load_pem_x509_certificates(made.encode()):
         assert (read.not_valid_before_utc.year, read.not_valid_after_utc.year) == (1970, 9999)
 
 
