@@ -47,9 +47,10 @@ class PickArm(CommandedNode, ArmNode):
         """The command by the camera, as one by the joints' angles."""
         return {**wanted, "gripper": belief["joints_from_camera"] @ wanted["gripper"]}
 
-    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """γ of `ArmNode`; its command changes nothing in what it expects to see, as the camera's pose is measured."""
-        return {**super().predict(context, (), belief), "grips": any(action["width"] <= 0.0 for action in actions)}
+        expected = super().predict(context, (), belief, tick)
+        return {**expected, "grips": any(action["width"] <= 0.0 for action in actions)}
 
 
 class PickSpatial(CommandedNode, SpatialNode):
