@@ -49,10 +49,8 @@ class PickArm(CommandedNode, ArmNode):
 
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """γ of `ArmNode`; its command changes nothing in what it expects to see, as the camera's pose is measured."""
-        return {
-            **super().predict(context, (), belief, tick),
-            "grips": any(action["width"] <= 0.0 for action in actions),
-        }
+        expected = super().predict(context, (), belief, tick)
+        return {**expected, "grips": any(action["width"] <= 0.0 for action in actions)}
 
 
 class PickSpatial(CommandedNode, SpatialNode):

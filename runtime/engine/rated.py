@@ -53,7 +53,7 @@ class RatedEngine(Engine):
         self._kept = KeptMessages()
         self._takes_part = False  # in the epoch under way
         self._counting: dict[Slot, int] = {}  # the epochs whose inputs from above count in it
-        self._above_told: frozenset[str] = frozenset()  # who above has to pass it
+        self._told_above: frozenset[str] = frozenset()  # who above has to pass it
         self._told_rates: Rates | None = None  # what the roster says of rates
         self._greets = joins or saved is not None  # whether neighbours may have more than this process knows of
         self._unsent: list[Message] | None = None
@@ -344,7 +344,7 @@ class RatedEngine(Engine):
         self._takes_part = self._rates.takes_part(self.name, epoch)
         above = self.wiring.above if self._takes_part else ()
         self._counting = {slot: self._rates.in_force(self.name, slot[0], epoch) for slot in above}
-        self._above_told = frozenset(upper for upper, passed in self._passed_above.items() if includes(passed, epoch))
+        self._told_above = frozenset(upper for upper, passed in self._passed_above.items() if includes(passed, epoch))
 
     def _complete(self) -> int:
         """The first of the epochs that come next of which all observations are there; 0: of none, as for the world.
@@ -413,7 +413,7 @@ class RatedEngine(Engine):
         if self._remembered is not None and self._remembered[0] == self.epoch:
             return self._remembered[1]
         sensed = super()._observe(observations)
-        if not (self.wiring.task or self.drains or self._above_told):
+        if not (self.wiring.task or self.drains or self._told_above):
             return sensed  # nobody hears what follows from it before there is a checkpoint of the turn
         self._remembered = (self.epoch, sensed)
         self._effects.save(self._turned, 0, self.encoded_start, self.encoded)
@@ -423,7 +423,7 @@ class RatedEngine(Engine):
         """Then it waits for what is above, if it is its turn; `_go_on` looks whether that is here."""
         self._enter(Phase.PREDICT if self._takes_part or self.drains else Phase.DONE)
         for upper, sense in self.wiring.sense:
-            if upper not in self._above_told and not self.drains:
+            if upper not in self._told_above and not self.drains:
                 continue
             elements: Elements = ()
             if sense is not None and self._rates.is_sensed(self.name, upper, self.epoch):
