@@ -384,10 +384,10 @@ _MODELS: dict[tuple[str | int, int], type[_Model]] = {
 """What stands at a path, by its first key and how many there are."""
 
 
-_GONE: dict[Keys, str] = {
-    ("exact",): "in place of an exact staleness of n write `delay: n` on the edges, which survives crashes"
+GONE: dict[Keys, str] = {
+    ("exact",): "there is no exact staleness any more; write `delay: n` on the edges instead, which survives crashes"
 }
-"""Fields that once were, and what is written now."""
+"""Fields that once were, and what is said of them."""
 
 
 def first_error(
@@ -421,8 +421,8 @@ def _what(keys: Keys, details: Any, top: TopModel) -> str:
     context = details.get("ctx", {})
     if kind == "missing":
         return f"missing; expected {field_meaning(keys, top)}"
-    if kind == "extra_forbidden" and keys in _GONE:
-        return f"there is no such field any more: {_GONE[keys]}"
+    if kind == "extra_forbidden" and keys in GONE:
+        return GONE[keys]
     if kind == "extra_forbidden":
         return f"unknown field{did_you_mean(str(keys[-1]), field_names(keys[:-1], top))}"
     if kind == "value_error":

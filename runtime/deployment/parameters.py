@@ -12,7 +12,7 @@ from hierax.runtime.deployment.deployment import (
     longest_key,
     normal_path,
 )
-from hierax.runtime.deployment.models import field_names
+from hierax.runtime.deployment.models import GONE, field_names
 from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.loading.arguments import in_words
@@ -160,6 +160,8 @@ def _next_key(document: Document, keys: Keys, value: Any, rest: str, place: str)
     closed = keys in _CLOSED
     if token in fields or not (fields or closed):
         return token
+    if (*keys, token) in GONE:
+        raise DeploymentError(GONE[*keys, token], place)
     names = [*fields, *(value if closed and isinstance(value, dict) else ())]
     parameters = document.root.get("parameters")
     if not keys and isinstance(parameters, dict):

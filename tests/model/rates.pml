@@ -2,7 +2,7 @@
  * The protocol of hierarchies with rates: one attempt of each epoch, and all that was said is said again to who lacks it.
  * docs/model.md says what is modelled and what is not; test_rates.py runs it.
  *
- *   EVERY, OFFSET  spatial takes part in epochs n with n % EVERY == OFFSET (1 and 0)
+ *   EVERY, OFFSET  spatial takes part in epochs n with n % EVERY == OFFSET (1 and 0; EVERY is at most 2)
  *   DELAY          what spatial predicts counts at the arm so many epochs later (1)
  *   DELAY_WORLD    the same of the arm and the world (0)
  *   GATHER         spatial has in its turn what the arm has given since its last one
@@ -56,6 +56,15 @@
 #else
 #define DRAINED(e) ((e) == EPOCHS)
 #endif
+/* Whether p is told of an epoch, and of which one next. */
+#if defined(GATHER) && !defined(MUT_TOLD_OF_TURNS_ALONE)
+#define TOLD(p, e) true
+#else
+#define TOLD(p, e) (TURN(p, e) || DRAINED(e))
+#endif
+#define NEXT(p, e) ((e) + 1 + !TOLD(p, (e) + 1))
+/* Whether somebody hears what p has sensed before that is in a checkpoint of the turn. */
+#define IS_HEARD(p, e) IF((p) == S, DRAINED(e), TOLD((p) + 1, e))
 
 /*
  * Sets of epochs are bits. What is under way between two neighbours is a bit for each version and epoch: nothing else
@@ -82,7 +91,7 @@ byte state[3], turned[3];      /* after the last turn, and when that was */
 byte sensed[3], sensed_in[3];  /* the belief in the middle of an epoch, and of which; 0: its end is in the state */
 byte observed[3], told[3];     /* what is in hand, of the one below and of the one above */
 byte said_up[3], said_down[3]; /* what neighbours may lack */
-byte gathered;                 /* by spatial */
+byte gathered, r_gathered;     /* by spatial */
 byte newest = 1;               /* version of the roster */
 byte intended;                 /* the last epoch whose act is on record */
 
@@ -90,7 +99,7 @@ byte intended;                 /* the last epoch whose act is on record */
 byte r_version = 1, r_state[3], r_turned[3], r_sensed[3], r_sensed_in[3], r_up[3], r_down[3], r_intended;
 
 #ifdef DAMAGE
-byte o_state[3], o_turned[3], o_sensed[3], o_sensed_in[3], o_up[3], o_down[3], o_intended; /* the other slot */
+byte o_gathered, o_state[3], o_turned[3], o_sensed[3], o_sensed_in[3], o_up[3], o_down[3], o_intended; /* the other slot */
 /* Before which epoch what was said to a neighbour is forgotten, and which of its instances has let that be. */
 #define MARK(before, by) ((before) << 2 | (by))
 byte up_mark[3], down_mark[3], r_up_mark[3], r_down_mark[3], o_up_mark[3], o_down_mark[3];
@@ -205,12 +214,17 @@ inline note_said(p, belief) { /* all that is ever said of an epoch follows from 
 inline save(p) {
     assert(state[p] == FORMAL(p, turned[p]));
 #ifdef DAMAGE
+    o_gathered = IF(p == S, r_gathered, o_gathered);
     o_state[p] = r_state[p]; o_turned[p] = r_turned[p]; o_sensed[p] = r_sensed[p]; o_sensed_in[p] = r_sensed_in[p];
     o_up[p] = r_up[p]; o_down[p] = r_down[p]; o_up_mark[p] = r_up_mark[p]; o_down_mark[p] = r_down_mark[p];
     r_up_mark[p] = up_mark[p]; r_down_mark[p] = down_mark[p];
 #endif
     r_state[p] = state[p]; r_turned[p] = turned[p];
     r_sensed[p] = sensed[p]; r_sensed_in[p] = sensed_in[p];
+    if
+    :: p == S -> r_gathered = gathered
+    :: else
+    fi;
 #ifndef MUT_SAID_NOT_SAVED
     r_up[p] = said_up[p]; r_down[p] = said_down[p]
 #endif
@@ -229,6 +243,7 @@ inline restore(p) {
 
 #ifdef DAMAGE
 inline damage(p) {
+    r_gathered = IF(p == S, o_gathered, r_gathered);
     r_state[p] = o_state[p]; r_turned[p] = o_turned[p]; r_sensed[p] = o_sensed[p]; r_sensed_in[p] = o_sensed_in[p];
     r_up[p] = o_up[p]; r_down[p] = o_down[p]; r_up_mark[p] = o_up_mark[p]; r_down_mark[p] = o_down_mark[p];
     if
@@ -334,13 +349,15 @@ inline sense(p) { /* who senses an epoch another time comes to another belief */
     :: else ->
         sensed[p] = state[p] + 1 + VARIES(p);
         was_sensed[p * 8 + epoch[p]] = 1;
-        sensed_in[p] = epoch[p];
-        save(p)
+        if
+        :: IS_HEARD(p, epoch[p]) -> sensed_in[p] = epoch[p]; save(p)
+        :: else
+        fi
     fi
 }
 
 inline begin_epoch(p) {
-    epoch[p]++;
+    epoch[p] = NEXT(p, epoch[p]);
     printf("%d begins epoch %d\n", p, epoch[p]);
     assert(state[p] == FORMAL(p, epoch[p] - 1));
     observed[p] = observed[p] & ~UP_TO(epoch[p]);
@@ -350,7 +367,8 @@ inline begin_epoch(p) {
     :: else ->
 #ifdef MUT_SAVES_BETWEEN
         turned[p] = epoch[p];
-        save(p)
+        save(p);
+        r_gathered = 0
 #else
         skip
 #endif
@@ -361,14 +379,15 @@ inline begin_epoch(p) {
 
 inline say_up(p) { /* what the world gives follows from its state */
     if
-    :: p == A -> note_said(p, sensed[p])
+    :: p != S && TOLD(p + 1, epoch[p]) ->
+        if
+        :: p == A -> note_said(p, sensed[p])
+        :: else
+        fi;
+        said_up[p] = said_up[p] | KEPT(epoch[p]);
+        to_upper(p, SET(epoch[p]))
     :: else
-    fi;
-    if
-    :: p != S -> said_up[p] = said_up[p] | KEPT(epoch[p])
-    :: else
-    fi;
-    to_upper(p, SET(epoch[p]))
+    fi
 }
 
 inline gather(p) {
@@ -416,41 +435,45 @@ inline check_context(p) { /* the last turn of the one above that counts by now, 
 inline predict(p) {
     if
     :: p != S -> check_context(p); told[p] = told[p] & ~(SET(IN_FORCE(p, epoch[p])) - 1)
-    :: else -> note_said(p, sensed[p])
+    :: else
+    fi;
+    if
+    :: p != W -> note_said(p, sensed[p])
+    :: else
     fi;
     printf("%d predicts in epoch %d\n", p, epoch[p])
 }
 
 inline finish_turn(p) {
-    state[p] = sensed[p] + 1; turned[p] = epoch[p]; sensed_in[p] = 0;
-    phase[p] = DONE;
-#if defined(MUT_SAVED_WITHOUT_NEXT)
-    save(p);
-    say_down(p)
-#elif defined(MUT_CHECKPOINT_LATE)
-    say_down(p);
-    phase[p] = SAVES_LATE
-#else
-    said_down[p] = said_down[p] | KEPT(epoch[p]);
-    save(p);
-    to_lower(p, SET(epoch[p]))
-#endif
-}
-
-inline say_down(p) {
-    said_down[p] = said_down[p] | KEPT(epoch[p]);
-    to_lower(p, SET(epoch[p]))
+    state[p] = sensed[p] + 1;
+    save_and_say_down(p)
 }
 
 inline finish_other(p) { /* of a drained epoch all are told that it is done */
-    phase[p] = DONE;
-#ifndef MUT_NO_EMPTY_CONTEXT
-    say_down(p)
+#ifdef MUT_NO_EMPTY_CONTEXT
+    phase[p] = DONE
+#else
+    save_and_say_down(p)
 #endif
 }
 
+inline save_and_say_down(p) {
+    turned[p] = epoch[p]; sensed_in[p] = 0;
+    phase[p] = DONE;
+#ifdef MUT_SAVED_WITHOUT_NEXT
+    save(p);
+#endif
+    said_down[p] = said_down[p] | KEPT(epoch[p]);
+#ifdef MUT_CHECKPOINT_LATE
+    phase[p] = SAVES_LATE;
+#elif !defined(MUT_SAVED_WITHOUT_NEXT)
+    save(p);
+#endif
+    to_lower(p, SET(epoch[p]))
+}
+
 /* Who can go on by itself does, before it hears of anything else. */
-#define CAN_BEGIN(p) (phase[p] == DONE && HAS(observed[p], epoch[p] + 1))
+#define CAN_BEGIN(p) (phase[p] == DONE && HAS(observed[p], NEXT(p, epoch[p])))
 #define CAN_PREDICT(p) (phase[p] == PREDICT && TURN(p, epoch[p]) && MAY_PREDICT(p))
 #define IDLE(p) \
     (phase[p] <= PREDICT && !CAN_BEGIN(p) && !CAN_PREDICT(p) && !(phase[p] == PREDICT && !TURN(p, epoch[p])))
@@ -538,7 +561,7 @@ inline check_end() {
     do
     :: i <= S ->
 #ifndef DAMAGE
-        assert(r_turned[i] == LAST(i, EPOCHS) && r_state[i] == FORMAL(i, EPOCHS));
+        assert(r_turned[i] == EPOCHS && r_state[i] == FORMAL(i, EPOCHS));
 #endif
         assert(epoch[i] < EPOCHS || state[i] == FORMAL(i, EPOCHS));
         i++
@@ -591,7 +614,7 @@ inline die(p, damaged) {
     :: else -> take_up(p, newest)
     fi;
     if
-    :: p == S -> gathered = 0
+    :: p == S -> gathered = r_gathered
     :: else
     fi
 }
