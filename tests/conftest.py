@@ -38,6 +38,8 @@ STARTING = {
     "tests/nodes/ros2/test_by_rclpy.py": 1,
     "tests/nodes/ros2/test_launched.py": 0,
     "tests/nodes/sources/test_live_launched.py": 0,
+    "tests/nodes/tower/test_counterfactual.py": 1,
+    "tests/nodes/tower/test_seen.py": 1,
     "tests/nodes/tower/test_tower.py": 1,
     "tests/runtime/bench/": 1,
     "tests/runtime/commands/": 0,

@@ -124,7 +124,7 @@ def _skill(belief: Value, time_s: float) -> str:
         lines.append(f"given up: {_move(*belief['refused'])}")
     if belief["hand"] is not None:
         lines.append(f"{1000.0 * belief['hand']['width']:.0f} mm between the fingers")
-    return "\n\n".join((*lines, f"{belief['moves']} moves begun"))
+    return "\n\n".join((*lines, f"moves begun: {belief['moves']}"))
 
 
 def _gripper(pose: Floats, width_m: Any, colour: showing.Colour) -> showing.Lines3D:
