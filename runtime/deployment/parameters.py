@@ -161,7 +161,7 @@ def _next_key(document: Document, keys: Keys, value: Any, rest: str, place: str)
     if token in fields or not (fields or closed):
         return token
     if (*keys, token) in GONE:
-        raise DeploymentError(GONE[*keys, token], place)
+        raise DeploymentError(GONE[(*keys, token)], place)
     names = [*fields, *(value if closed and isinstance(value, dict) else ())]
     parameters = document.root.get("parameters")
     if not keys and isinstance(parameters, dict):
