@@ -160,8 +160,9 @@ def _next_key(document: Document, keys: Keys, value: Any, rest: str, place: str)
     closed = keys in _CLOSED
     if token in fields or not (fields or closed):
         return token
-    if (*keys, token) in GONE:
-        raise DeploymentError(GONE[(*keys, token)], place)
+    gone = GONE.get((*keys, token))
+    if gone is not None:
+        raise DeploymentError(gone, place)
     names = [*fields, *(value if closed and isinstance(value, dict) else ())]
     parameters = document.root.get("parameters")
     if not keys and isinstance(parameters, dict):
