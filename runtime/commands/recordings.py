@@ -22,7 +22,7 @@ from hierax.runtime.commands.options import (
     offers,
     option,
 )
-from hierax.runtime.commands.show import print_json
+from hierax.runtime.commands.show import in_force_text, print_json
 from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 if TYPE_CHECKING:
@@ -151,9 +151,14 @@ def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int
         raise CommandError(f"{file}: there is nothing to check: {what}")
     if output_format is Format.json:
         found = [each._asdict() for each in violations]
-        print_json({"file": str(file), "epochs": checker.epochs, "steps": checker.checked, "violations": found})
+        counts = {"epochs": checker.epochs, "steps": checker.checked}
+        turns = {name: each._asdict() for name, each in sorted(checker.turns.items())}
+        print_json({"file": str(file), **counts, **({"nodes": turns} if turns else {}), "violations": found})
     elif not violations:
         print(f"{file}: {checker.epochs} epochs, {checker.checked} steps of nodes: the formal order is kept")
+        for name, done in sorted(checker.turns.items()):
+            counting = f", with {in_force_text(done.in_force)}" if done.in_force else ""
+            print(f"  {name}: {done.steps} epochs, the last one {done.last}{counting}")
     return report_violations(violations)
 
 

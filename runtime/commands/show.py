@@ -43,6 +43,11 @@ def by_process(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str,
     return {name: nodes[name] for name in order}
 
 
+def in_force_text(in_force: Mapping[str, int]) -> str:
+    """Of a node with rates: the nodes above it, and which epochs of theirs count; ``-`` where none does yet."""
+    return ", ".join(f"{upper} {epoch or '-'}" for upper, epoch in sorted(in_force.items()))
+
+
 def print_table(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[str, ...]]) -> None:
     """A table on standard output; see `table_of`."""
     console().print(table_of(columns, rows))

@@ -8,7 +8,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
 from hierax.runtime.commands.options import Connect, Format, KeyFile, OutputFormat, Run, option
-from hierax.runtime.commands.show import by_process, console, print_json, table_of
+from hierax.runtime.commands.show import by_process, console, in_force_text, print_json, table_of
 from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 if TYPE_CHECKING:
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from hierax.runtime.transport.launch_client import LaunchClient
 
 _TIMES = ("observe", "policy", "predict", "edges", "act", "other", "waiting")
-_COLUMNS = ("process", "node", "host", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
+_COLUMNS = ("process", "node", "host", "state", "epoch", "with", *_TIMES, "for", "cpu", "memory", "restarts")
 _DISPENSABLE = ("state", "other", "cpu")
-_LEFT = ("process", "node", "host", "state", "for")
+_LEFT = ("process", "node", "host", "state", "with", "for")
 WIDE, NARROW = 140, 100
 """Widths of a terminal, from which columns have space between them, and below which some are left out."""
 
@@ -111,8 +111,8 @@ def headline(look: Mapping[str, Any]) -> str:
 def table(look: Mapping[str, Any], width: int = WIDE) -> "Table":
     """The nodes of a launch as rows: times are per epoch. On a narrow terminal, some columns are left out."""
     acts = any((node.get("per_epoch_us") or {}).get("act") for node in look["nodes"].values())
-    shares, hosts = (any(node.get(what) for node in look["nodes"].values()) for what in ("shares", "host"))
-    told = (("act", acts), ("process", shares), ("host", hosts))
+    some = {what: any(node.get(what) for node in look["nodes"].values()) for what in ("shares", "host", "in_force")}
+    told = (("act", acts), ("process", some["shares"]), ("host", some["host"]), ("with", some["in_force"]))
     left_out = {name for name, is_there in told if not is_there}
     shown = [column for column in _COLUMNS if column not in left_out]
     if width < NARROW:
@@ -136,6 +136,7 @@ def _cells(name: str, node: Mapping[str, Any]) -> dict[str, str]:
         **cells,
         "state": node["doing"] if spent is None else node["state"],
         "epoch": str(node["epoch"]),
+        "with": in_force_text(node.get("in_force", {})),
         **{what: f"{node['share'][what]:.0%}" if spent is None else _time(spent[what]) for what in _TIMES},
         "for": ", ".join(waits),
         "cpu": f"{node['cpu']:.0%}",

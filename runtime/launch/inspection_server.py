@@ -7,7 +7,7 @@ A question is a map with ``"look"``, as is the answer:
     state       what the node believes, has chosen and was given in the last epoch that it has completed
     neighbours  the names of the nodes below and above
     echo        copies of the messages in ``"edges"``, each kind, sender and receiver, for `LEASE_S`
-    steps       what the node does in epochs that ``"every"`` divides, for `LEASE_S`; of the world's also the roster
+    steps       what the node does in one of ``"every"`` epochs, for `LEASE_S`; of the world's also the roster
     roster      of the world's process, the roster in force; of others nothing
 """
 
@@ -21,6 +21,7 @@ from hierax.runtime.core.binding import metrics_of
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.node import class_name
 from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.observers import Observers
@@ -96,6 +97,7 @@ class InspectionServer:
             "pid": os.getpid(),
             "epoch": 0 if engine is None else engine.epoch,
             "attempt": 0 if engine is None else engine.attempt,
+            "in_force": dict(engine.in_force) if isinstance(engine, RatedEngine) else {},
             "busy": busy,
             "waits_for": [] if ready else [list(slot) for slot in waits],
             "rss_bytes": _rss_bytes(),

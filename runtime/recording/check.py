@@ -24,7 +24,7 @@ turn, and EPOCH of that and of what it has gathered.
 says in which order two others acted, but what one has received another has sent before."""
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
@@ -63,6 +63,14 @@ class Violation(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.rule}: epoch {self.epoch}, attempt {self.attempt}: {self.what}"
+
+
+class Turns(NamedTuple):
+    """How far a node with rates has come."""
+
+    steps: int  # in how many epochs it took part
+    last: int  # the last one
+    in_force: Mapping[str, int]  # by upper neighbour, the epoch whose context counted in that; 0: there was none yet
 
 
 @dataclass
@@ -112,6 +120,7 @@ class Checker:
     def __init__(self, staleness: Staleness = BARRIER, from_start: bool = True) -> None:
         self.violations: list[Violation] = []  # the first ones
         self.epochs = self.checked = 0  # how many commits were seen, and steps checked
+        self.turns: dict[str, Turns] = {}  # by node, with rates
         self._staleness = staleness
         self._from_start = from_start
         self._rosters: dict[int, Roster] = {}
@@ -241,6 +250,8 @@ class Checker:
         """With rates."""
         turn = RatedTurn(step, roster, previous_turn(self._rosters, step))
         faults = [*turn.turn_faults(log.told), *turn.input_faults()]
+        steps = self.turns[step.name].steps if step.name in self.turns else 0
+        self.turns[step.name] = Turns(steps + 1, step.epoch, dict(turn.contexts()))
         if step.epoch > log.after:
             self.checked += 1
             epochs = turn.passed() if log.told else (step.epoch,)  # another process may have passed those before

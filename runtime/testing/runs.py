@@ -29,7 +29,7 @@ from hierax.runtime.loading.node_loader import wait_for
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import allowance_of
 from hierax.runtime.recording.replayed_epoch import Exchange
-from hierax.runtime.recording.trace import EpochTrace
+from hierax.runtime.recording.trace import EpochTrace, taking_part
 from hierax.runtime.testing.node import Input, check_node
 from hierax.runtime.transport.port import MemoryNetwork
 from hierax.runtime.watch.watcher import Watcher
@@ -229,6 +229,9 @@ def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust:
             if first is None:
                 continue  # it may be attached later
             break
+        exchange.recall(trace)
+        if name not in taking_part(trace.roster, trace.epoch):
+            continue
         first = first or trace
         if _place(trace.roster, name) != _place(first.roster, name) or len(inputs) == epochs:
             break
@@ -250,7 +253,6 @@ def _input(exchange: Exchange, trace: EpochTrace, name: str) -> Input:
     _, below, above = _place(trace.roster, name)
     tasking = [upper for upper in above if (name, upper) in trace.roster.tasking]
     lines = ((OBSERVATIONS, below), (TASKS, tasking), (CONTEXT, above))
-    exchange.recall(trace)
     given = [exchange.elements(trace, kind, senders, name) for kind, senders in lines]
     return Input(trace.epoch, trace.nodes[name].step.time_s, *given)
 

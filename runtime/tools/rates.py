@@ -61,6 +61,8 @@ def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[
         nodes[name]["answers"] = answer is not None
         if answer is not None:
             said = {key: answer[key] for key in ("pid", "epoch", "rss_bytes", "metrics")}
+            if answer.get("in_force"):  # where nodes have rates
+                said["in_force"] = answer["in_force"]
             nodes[name] |= {**said, "doing": doing(answer), **rates_between(before.get(name), answer)}
     there = [name for name in nodes if name in after]
     timing = timing_of({name: answer.get("timing", {}) for name, answer in after.items()})

@@ -3,6 +3,8 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -17,12 +19,14 @@ from hierax.runtime.core.showing import Graph, Things, colour_of, in_rows
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.viewing import views
 from hierax.runtime.viewing.views import BELIEF, EPOCHS, HIERARCHY, TOGETHER, Kind, Placed, ShowError, View
+from hierax.schemas.rates import Rates
 from hierax.schemas.roster import Roster
 
 Together = Callable[[Mapping[str, Step]], Things]
 """Shows what needs the steps of several nodes: of an epoch that all nodes have done, by name."""
 
 EPOCHS_OPEN = 16  # how many epochs the nodes of a hierarchy may be apart until those that are late are not waited for
+MOST_REACH = 256  # with rates, how many more at most, as one may be as far behind as its delays allow
 TELL_AFTER_EPOCHS = 20  # after so many a view that nothing is shown in is taken for a slip of the layout
 BELIEFS_KEPT = 4  # how many beliefs of each node are kept, as an epoch may be done again
 _APART = (170.0, 110.0)  # between nodes in the picture of the hierarchy: across and up
@@ -70,12 +74,17 @@ class ViewPresenter:
         self._figures: dict[str, str] = {}
         self._epochs: dict[int, _Epoch] = {}
         self._closed = self._whole = 0
+        self._latest: dict[str, int] = {}  # by node, the epoch of its last step
+        # with rates: by node, its last step up to the last epoch closed, and figures of that
+        self._standing: dict[str, tuple[Step, str]] = {}
 
     def set_roster(self, roster: Roster) -> None:
         """The nodes and edges from now on."""
         self._roster = roster
-        for name in set(self._figures) - set(roster.nodes):
-            del self._figures[name]
+        for name in (self._latest.keys() | self._figures.keys()) - roster.nodes.keys():
+            self._figures.pop(name, None)
+            self._latest.pop(name, None)
+            self._standing.pop(name, None)
 
     def step(self, name: str, node: Node, step: Step, start: Value = None) -> None:
         """Show what a node did, by its `show` and `metrics`, as `OperatorError` or `ShowError` says if that cannot be.
@@ -126,23 +135,36 @@ class ViewPresenter:
         self.canvas.draw(epoch, time_s, things)
 
     def _gather(self, name: str, step: Step, figures: str) -> None:
-        """An epoch is closed when all nodes have done it, or are far behind."""
+        """An epoch is closed when all nodes have done it, or are past it, or are far behind."""
         assert self._roster is not None
+        rates = self._roster.rates
         self._figures[name] = figures
         number = step.epoch
+        self._latest[name] = max(number, self._latest.get(name, 0))
         if number <= self._closed:
             return  # done again, or late
         epoch = self._epochs.setdefault(number, _Epoch(step.time_s))
         epoch.steps[name] = step
         epoch.figures[name] = figures
-        for other in [other for other in self._epochs if other <= number - EPOCHS_OPEN]:
+        kept = EPOCHS_OPEN if rates is None else EPOCHS_OPEN + min(rates.reach, MOST_REACH)
+        for other in sorted(other for other in self._epochs if other <= number - kept):
             self._close(other)
-        if epoch.steps.keys() >= self._roster.nodes.keys():
-            self._close(number)
+        if rates is None:
+            whole = [number] if epoch.steps.keys() >= self._roster.nodes.keys() else []
+        else:
+            whole = list(takewhile(partial(self._is_past, rates), sorted(self._epochs)))
+        for other in whole:
+            self._close(other)
             self._arrange()
             self._whole += 1
             if self._whole >= TELL_AFTER_EPOCHS:
                 self._report_unknown()
+
+    def _is_past(self, rates: Rates, number: int) -> bool:
+        """Whether no node has a step of an epoch that has not come."""
+        assert self._roster is not None
+        latest = {name: self._latest.get(name, 0) for name in self._roster.nodes}
+        return all(last >= number or rates.next_turn(name, last) > number for name, last in latest.items())
 
     def _close(self, number: int) -> None:
         assert self._roster is not None
@@ -151,9 +173,17 @@ class ViewPresenter:
         for gone in [name for name in self._beliefs if name not in self._roster.nodes]:
             del self._beliefs[gone]
             self._show(gone, number, epoch.time_s, ())
-        if self.together is not None and epoch.steps.keys() >= self._roster.nodes.keys():
-            self._show(TOGETHER, number, epoch.time_s, self._shown_together(self.together, number, epoch.steps))
-        graph = hierarchy_graph(self._roster, {**self._figures, **epoch.figures})
+        rates, steps, figures = self._roster.rates, epoch.steps, {**self._figures, **epoch.figures}
+        if rates is not None:
+            self._standing.update({name: (step, epoch.figures[name]) for name, step in steps.items()})
+            steps = {name: step for name, (step, _) in self._standing.items()}
+            figures = {
+                name: f"{epochs_text(self._roster, name, step.epoch)}\n{text}".strip()
+                for name, (step, text) in self._standing.items()
+            }
+        if self.together is not None and steps.keys() >= self._roster.nodes.keys():
+            self._show(TOGETHER, number, epoch.time_s, self._shown_together(self.together, number, steps))
+        graph = hierarchy_graph(self._roster, figures)
         self._show(HIERARCHY, number, epoch.time_s, [Placed(View(HIERARCHY, Kind.GRAPH), HIERARCHY, HIERARCHY, graph)])
 
     def _shown_together(self, together: Together, number: int, steps: Mapping[str, Step]) -> tuple[Placed, ...]:
@@ -177,6 +207,14 @@ class ViewPresenter:
         if shown != self._arranged:
             self._arranged = shown
             self.canvas.arrange(views.arranged(self._views, self.layout))
+
+
+def epochs_text(roster: Roster, name: str, epoch: int) -> str:
+    """With rates: which epoch a node has done last, and which ones of those above counted in it, where others did."""
+    rates = roster.rates or Rates()
+    in_force = {upper: rates.in_force(name, upper, epoch) for upper in roster.above(name)}
+    others = [f"{upper} {counts or '-'}" for upper, counts in in_force.items() if counts != epoch]
+    return f"epoch {epoch}" + (f", with {', '.join(others)}" if others else "")
 
 
 def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:

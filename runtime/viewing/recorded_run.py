@@ -26,9 +26,11 @@ def show_recording(
     file is damaged, a node cannot or may not be loaded, or what it shows cannot be shown."""
     playing = _Playing(presenter, allowance, Exchange(recording.info.how_stale.barrier))
     shown = 0
-    for trace in recording.epochs(first, last):
-        playing.epoch(trace)
-        shown += 1
+    for trace in recording.epochs(last=last):
+        playing.recall(trace)
+        if trace.epoch >= first:
+            playing.epoch(trace)
+            shown += 1
     presenter.close()
     return shown
 
@@ -43,9 +45,13 @@ class _Playing:
         self._beliefs: dict[str, tuple[int, Value]] = {}
         self._committed = (0, 0)
 
-    def epoch(self, trace: EpochTrace) -> None:
-        self._presenter.set_roster(trace.roster)
+    def recall(self, trace: EpochTrace) -> None:
+        """Have what was said in an epoch, which may count later, too."""
         self._exchange.recall(trace)
+
+    def epoch(self, trace: EpochTrace) -> None:
+        """Show an epoch that was recalled."""
+        self._presenter.set_roster(trace.roster)
         epoch, heard_ns = self._committed
         self._committed = (trace.epoch, trace.heard_ns)
         if epoch == trace.epoch - 1 and heard_ns and trace.heard_ns and trace.time_s is not None:
@@ -104,13 +110,15 @@ def recorded_look(recording: Recording, name: str, epoch: int | None, allowance:
     it is not in the recording, the file is damaged, or a node cannot or may not be loaded."""
     last = recording.ending.last if epoch is None and recording.ending is not None else epoch
     keeping = _Keeping(name)
-    show_recording(recording, keeping, allowance, 1 if last is None else max(1, last - 1), last)
+    reach = max((roster.rates.reach for roster in recording.rosters().values() if roster.rates is not None), default=1)
+    show_recording(recording, keeping, allowance, 1 if last is None else max(1, last - reach), last)
     roster, found = keeping.roster, keeping.found
     if roster is not None and name not in roster.nodes:
         raise RecordingError(f"{recording.path}: there is no node {name!r} in it{did_you_mean(name, roster.nodes)}")
     if roster is None or found is None or (epoch is not None and found.step.epoch != epoch):
         which = "any epoch" if epoch is None else f"epoch {epoch}"
-        raise RecordingError(f"{recording.path}: what {name} did in {which} is not in it")
+        before = "" if found is None else f"; it took part in epoch {found.step.epoch} last before that"
+        raise RecordingError(f"{recording.path}: what {name} did in {which} is not in it{before}")
     return found, roster
 
 

@@ -76,14 +76,17 @@ class Copier(Watcher):
 
 
 class Stepper(Watcher):
-    """Keeps a node's last steps, of the epochs that `every` divides, until they are taken, by another thread."""
+    """Keeps a node's last steps, of so `every` many epochs one, until they are taken, by another thread."""
 
     def __init__(self) -> None:
         self.every = 1
+        self._last = -1
         self._steps: deque[tuple[int, Step]] = deque(maxlen=STEPS_KEPT)
 
     def completed(self, completed: Completed) -> None:
-        if completed.step.epoch % self.every == 0:
+        # of nodes that take part in all epochs those that `every` divides; of others the first one since the last such
+        if completed.step.epoch // self.every != self._last // self.every:
+            self._last = completed.step.epoch
             self._steps.append((time.time_ns(), completed.step))
 
     def take(self) -> Iterator[bytes]:

@@ -134,8 +134,24 @@ def test_a_hierarchy_in_python_may_have_rates() -> None:
     assert "hierax.nodes.servo:position" in hierarchy.targets()
 
 
-def test_a_recording_is_refused_and_leaves_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    target = tmp_path / "run.mcap"
-    assert main(["run", "servo", "--set", SLOW[0], "--record", str(target)]) != 0
-    assert "a recording does not know them" in capsys.readouterr().err
-    assert not target.exists()
+def test_what_knew_no_rates_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = str(tmp_path / "run.mcap")
+    settings = [word for setting in SLOW for word in ("--set", setting)]
+    assert main(["run", "servo", *settings, "--epochs", "30", "--record", target, "--check"]) == 0
+    for words in (["replay", target, "--verify"], ["diff", target, "servo", *settings], ["inspect", "motion", target]):
+        assert main(words) == 0, capsys.readouterr().err
+    capsys.readouterr()
+    assert main(["check", target]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"{target}: 30 epochs, 66 steps of nodes: the formal order is kept",
+        "  camera: 30 epochs, the last one 30, with motion 27",
+        "  motion: 6 epochs, the last one 27",
+        "  world: 30 epochs, the last one 30, with camera 30",
+    ]
+    assert main(["diff", target, "servo", "--set", "nodes.motion.every=2"]) == 1
+    assert "rosters differ from epoch 1: nodes.motion.turns" in capsys.readouterr().out
+    assert main(["inspect", "motion", target, "--epoch", "25"]) == 1
+    assert (
+        "what motion did in epoch 25 is not in it; it took part in epoch 22 last before that" in capsys.readouterr().err
+    )
+    assert main(["export", "systemd", "servo", *settings, "-o", str(tmp_path / "units")]) == 0

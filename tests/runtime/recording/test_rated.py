@@ -79,20 +79,20 @@ def test_changes_of_the_roster_are_followed(seed: int, tmp_path: Path) -> None:
     assert any(message.header.epoch == GREETING for _, message in recording.messages())
 
 
-def test_a_node_that_is_replaced_by_its_like_takes_over_before_its_turn(tmp_path: Path) -> None:
-    path = tmp_path / "run.yaml"
-    text = drawn(tmp_path, 3).read_text().replace("n1: {", "n1: {every: 9, ", 1)
-    path.write_text(text if "every: 9, every" not in text else text.replace("every: 9, every", "every: 9, x_every"))
-    lines = [line for line in path.read_text().splitlines() if line.startswith("  n1: ")]
-    line = lines[0].replace("every: 9, x_every: 2, offset: 0, ", "every: 9, ")
-    for number in (2, 3, 5):
-        for offset in range(number):
-            line = line.replace(f"x_every: {number}, offset: {offset}, ", "")
-    path.write_text(path.read_text().replace(lines[0], line))
+def test_a_node_that_is_replaced_by_its_like_takes_over_before_its_turn(planted: Path, tmp_path: Path) -> None:
+    told = 'sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told"'
+    top = '  top: {class: "hierax.runtime.sim.nodes:Mixer", parameters: {name: top}}\nedges:\n'
+    planted.write_text(planted.read_text().replace("edges:\n", top) + f"  high -> top: {{{told}}}\n")
     like = tmp_path / "like.yaml"
-    like.write_text(f"nodes:\n{line}\n")
-    recording, _ = record_file(tmp_path / "run.mcap", path, epochs=30, seed=3, at=[f"13:replace:n1:{like}"])
-    assert is_repeated(recording, world=True) == 30
+    like.write_text(
+        'nodes:\n  high: {every: 4, offset: 1, class: "hierax.runtime.sim.nodes:Mixer", parameters: {name: high}}\n'
+    )
+    at = [f"10:replace:high:{like}"]  # its turns are 9 and 13
+    recording, _ = record_file(tmp_path / "run.mcap", planted, epochs=30, seed=3, at=at)
+    begun = {epoch.epoch: set(epoch.begun) for epoch in recording.epochs() if epoch.begun}
+    assert begun == {10: {"high"}}
+    for first in (1, 10, 11, 13):
+        assert is_repeated(recording, world=True, first=first) == 31 - first
 
 
 def test_a_recording_of_other_rates_is_what_a_run_with_them_is(tmp_path: Path) -> None:

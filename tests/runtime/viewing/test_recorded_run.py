@@ -17,6 +17,9 @@ from hierax.runtime.viewing.recorded_run import show_recording
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
 
+RATED = ("nodes.motion.every=5", "nodes.motion.offset=2", "edges.camera -> motion.delay=3")
+
+
 def recorded(folder: Path, name: str, epochs: int, *settings: str) -> Recording:
     path = folder / "run.mcap"
     options = [option for setting in settings for option in ("--set", setting)]
@@ -26,7 +29,7 @@ def recorded(folder: Path, name: str, epochs: int, *settings: str) -> Recording:
 
 @pytest.mark.parametrize(
     ("name", "settings", "epochs"),
-    [("tracking", (), 3), ("letters-image", (), 2), ("servo", ("staleness=2",), 12)],
+    [("tracking", (), 3), ("letters-image", (), 2), ("servo", ("staleness=2",), 12), ("servo", RATED, 12)],
 )
 def test_a_recording_shows_what_the_run_showed(
     tmp_path: Path, name: str, settings: tuple[str, ...], epochs: int
