@@ -157,6 +157,10 @@ class Rates:
         gathers from. Where edges are not known, in all."""
         return self._passed.get(name, (EVERY_EPOCH,))
 
+    def is_told(self, name: str, epoch: int) -> bool:
+        """Whether a node is sent observations of an epoch, also of one that is not drained: of such it is in any case."""
+        return any(turns.include(epoch) for turns in self.passes(name))
+
     @cached_property
     def _passed(self) -> Mapping[str, tuple[Turns, ...]]:
         wanted = {name: {self.turns_of(name)} for pair in self.pairs for name in pair}
@@ -199,6 +203,11 @@ class Rates:
         turns, began = self.turns_of(upper), self.timing.began.get((lower, upper))
         delay = self.delays.get((lower, upper), 0)
         return Former(turns.every, turns.offset, delay, *((0, 0) if began is None else began[:2]))
+
+    @property
+    def latest(self) -> int:
+        """Since when all of them hold."""
+        return max((*self.timing.since.values(), *(began.epoch for began in self.timing.began.values())), default=1)
 
     @property
     def reach(self) -> int:

@@ -41,7 +41,8 @@ class NodeStep(NamedTuple):
     state: bytes  # the state after it, encoded as [belief, policy, actions]
     sensed: bytes = b""  # the belief after `observe`, encoded; empty for the world, which does not observe
     start: bytes = b""  # in the first step of a stream the state at the epoch's start, encoded; else empty
-    used: tuple[tuple[str, str, int, int], ...] = ()  # which others were used: (sender, kind, epoch, attempt)
+    # of inputs that may be of other epochs: (sender, kind, epoch, attempt); of what is gathered one for each epoch
+    used: tuple[tuple[str, str, int, int], ...] = ()
     passages: tuple[Passage, ...] = ()  # what went in and out since the last step, some perhaps of the next
     chain: bytes = b""  # of the world's step the run's digest of the epoch, where it is known; else empty
 

@@ -17,7 +17,7 @@ it, and at the messages and digests themselves:
     GRAPH    a roster is a hierarchy
     TURN     with rates, a node takes part in its turns, in each of them, and in no other epoch
 
-With rates ALL, SENSE and UP hold of every epoch that a node has passed, PREDICT and DIGEST of what is in force in its
+With rates ALL, SENSE and UP hold of every epoch of which a node is told, PREDICT and DIGEST of what is in force in its
 turn, and EPOCH of that and of what it has gathered.
 
 "Before" and "after" are as the node's own port saw them: nothing that comes over a network

@@ -63,11 +63,12 @@ class RatedTurn:
             if (lower, name) not in self._rates.gathers:
                 continue
             epochs = [epoch for epoch in self.passed() if epoch >= self._rates.since(lower, name)]
-            messages = [said(OBSERVATIONS, lower, name, epoch) for epoch in epochs]
-            if None in messages:
-                continue
-            expected = [epoch for epoch, message in zip(epochs, messages, strict=True) if message and not message[2]]
+            messages = {epoch: said(OBSERVATIONS, lower, name, epoch) for epoch in epochs}
             got = used.get((lower, OBSERVATIONS), [])
+            wanted = [epoch for epoch in epochs if epoch in got or self._rates.is_sensed(lower, name, epoch)]
+            if any(messages[epoch] is None for epoch in wanted):
+                continue
+            expected = [epoch for epoch, message in messages.items() if message is not None and not message[2]]
             if got != expected:
                 yield "EPOCH", f"{name} gathered obs of {lower} {_of(got)}, not {_of(expected)}"
 
@@ -112,11 +113,13 @@ class RatedTurn:
         return found
 
     def _neighbours(self, epoch: int, upward: bool) -> list[str]:
-        """Those above, or below, that are there in an epoch."""
-        name, since = self.step.name, self._rates.since
+        """Those above that are told of an epoch, or those below, where the node is."""
+        name, rates, is_turn = self.step.name, self._rates, epoch == self.step.epoch
+        if not is_turn and epoch < rates.latest:
+            return []  # by the rates of another roster
         if upward:
-            return [upper for upper in self.roster.above(name) if epoch >= since(name, upper)]
-        return [lower for lower in self.roster.below(name) if epoch >= since(lower, name)]
+            return [upper for upper in self.roster.above(name) if rates.is_told(upper, epoch)]
+        return list(self.roster.below(name)) if is_turn or rates.is_told(name, epoch) else []
 
     def _used(self) -> Mapping[tuple[str, str], list[int]]:
         used: dict[tuple[str, str], list[int]] = {}

@@ -1,6 +1,6 @@
 """Traces: what happened in each epoch, put together from what was heard in any order."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -115,7 +115,7 @@ class EpochTrace:
         """What an epoch has that does not overlap others, or by the rates, and this one lacks, in words."""
         doing = taking_part(self.roster, self.epoch)
         lacking = [f"step of {name}" for name in doing if name not in self.nodes]
-        unheard = [line for line in lines_of(self.roster, doing) if self.attempt not in self.lines.get(line, {})]
+        unheard = [line for line in lines_of(self.roster, self.epoch) if self.attempt not in self.lines.get(line, {})]
         return (*lacking, *(f"{kind} message {sender} -> {receiver}" for kind, sender, receiver in unheard))
 
 
@@ -125,11 +125,13 @@ def taking_part(roster: Roster, epoch: int) -> tuple[str, ...]:
     return tuple(name for name in sorted(roster.nodes) if rates is None or rates.takes_part(name, epoch))
 
 
-def lines_of(roster: Roster, doing: Collection[str]) -> list[Line]:
-    """Along which lines something is said in an epoch in which these nodes take part: upward along all."""
+def lines_of(roster: Roster, epoch: int) -> list[Line]:
+    """Along which lines something is said in an epoch in any case; in a drained one it is along more."""
     lines: list[Line] = []
+    rates, doing = roster.rates, taking_part(roster, epoch)
     for lower, upper, task in ((edge.lower, edge.upper, edge.task) for edge in roster.edges):
-        lines.append((OBSERVATIONS, lower, upper))
+        if rates is None or rates.is_told(upper, epoch):
+            lines.append((OBSERVATIONS, lower, upper))
         if upper in doing:
             lines.append((CONTEXT, upper, lower))
             lines += [] if task is None else [(TASKS, upper, lower)]
@@ -230,7 +232,7 @@ class Assembly:
         # with its commit untold, nobody knows which attempt is the last one until the next epoch is told of
         done = (self._next, max(attempts)) if attempts else (self._next + 1, 0)
         doing = taking_part(roster, self._next)
-        if roster.rates is not None and any(line not in pending.lines for line in lines_of(roster, doing)):
+        if roster.rates is not None and any(line not in pending.lines for line in lines_of(roster, self._next)):
             done = (roster.rates.reach + self._next, 0)  # nobody says anything of this epoch any more
             doing = tuple(roster.nodes)
         coming = self._coming(roster, self._next)

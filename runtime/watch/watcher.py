@@ -80,13 +80,15 @@ class Stepper(Watcher):
 
     def __init__(self) -> None:
         self.every = 1
-        self._last = -1
+        self._last: int | None = None
         self._steps: deque[tuple[int, Step]] = deque(maxlen=STEPS_KEPT)
 
     def completed(self, completed: Completed) -> None:
         # of nodes that take part in all epochs those that `every` divides; of others the first one since the last such
-        if completed.step.epoch // self.every != self._last // self.every:
-            self._last = completed.step.epoch
+        epoch = completed.step.epoch
+        last = self._last = epoch - 1 if self._last is None else self._last
+        if epoch // self.every != last // self.every:
+            self._last = epoch
             self._steps.append((time.time_ns(), completed.step))
 
     def take(self) -> Iterator[bytes]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -165,20 +164,16 @@ def test_a_run_in_good_order_passes(planted: Path, tmp_path: Path) -> None:
 def test_context_that_counts_in_another_epoch_is_found(
     by: int, planted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    in_force = RatedEngine._in_force
+    turn = RatedEngine._turn
 
-    def shifted(engine: RatedEngine, slot: tuple[str, str]) -> Message | None:
-        rates = engine._rates
-        delays = {pair: delay - by for pair, delay in rates.delays.items()}
-        engine._rates = replace(rates, delays=delays)
-        try:
-            return in_force(engine, slot)
-        finally:
-            engine._rates = rates
+    def shifted(engine: RatedEngine, epoch: int, attempt: int) -> None:
+        turn(engine, epoch, attempt)
+        for slot in engine._counting:
+            if (engine.name, slot[0]) in engine._rates.delays:
+                engine._counting[slot] = engine._rates.in_force(engine.name, slot[0], epoch + by)
 
     with monkeypatch.context() as patched:
-        patched.setattr(RatedEngine, "_in_force", shifted)
-        patched.setattr(RatedEngine, "_oldest", lambda engine, slot: 0)
+        patched.setattr(RatedEngine, "_turn", shifted)
         recording, broken = recorded_and_checked(tmp_path, planted)
     assert "EPOCH" in broken
     assert not compare(recording.epochs(), Replay(recording, allowance_of(recording)).epochs()).alike

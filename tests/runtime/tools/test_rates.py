@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from hierax.runtime.commands.top import table
 from hierax.runtime.tools.rates import doing, overview, rates_between
 from hierax.runtime.transport.launch_client import LaunchStatus
 
@@ -98,6 +99,17 @@ def test_an_overview_has_all_nodes_also_those_that_are_silent() -> None:
     }
     mid = look["nodes"]["mid"]
     assert (mid["answers"], mid["cpu"], mid["rss_bytes"], mid["doing"]) == (True, 0.5, 1 << 20, "waits for low")
+
+
+def test_with_rates_it_is_told_what_counts_at_a_node() -> None:
+    rated = answer(4, 30, in_force={"top": 27, "side": 0})
+    look = overview(SEEN, {}, {"mid": rated, "low": answer(4, 30, in_force={})})
+    assert look["nodes"]["mid"]["in_force"] == {"top": 27, "side": 0}
+    assert "in_force" not in look["nodes"]["low"]
+    (column,) = [column for column in table(look).columns if column.header == "with"]
+    assert list(map(str, column.cells)) == ["", "side -, top 27"]
+    plain = overview(SEEN, {}, {"mid": answer(4, 30)})
+    assert "with" not in [column.header for column in table(plain).columns]
 
 
 def test_an_overview_of_nobody() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,6 +12,7 @@ from hierax.runtime import Node, Step, Value
 from hierax.runtime.core.showing import Graph, Points2D
 from hierax.runtime.viewing.presenter import EPOCHS_OPEN, ViewPresenter
 from hierax.runtime.viewing.views import ShowError
+from hierax.schemas.rates import FROM_THE_BEGINNING, Turns
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 
 
@@ -159,3 +161,34 @@ def test_what_several_nodes_show_wrongly_is_told(given: Any, what: str) -> None:
     with pytest.raises(ShowError) as caught:
         shown.step("world", Level(), step(1, 1.0))
     assert str(caught.value) == f"view.show in epoch 1: {what}"
+
+
+def rated() -> Roster:
+    """A world and a node above it that takes part in the epochs 1, 4, 7, …"""
+    plain = roster("world", "slow")
+    edges = tuple(replace(edge, delay=2) for edge in plain.edges)
+    return replace(plain, edges=edges, turns={"slow": Turns(3, 1)}, timing=FROM_THE_BEGINNING)
+
+
+def test_with_rates_each_node_is_shown_at_its_own_epochs_and_the_hierarchy_in_order() -> None:
+    told: list[tuple[int, dict[str, int]]] = []
+
+    def together(steps: Mapping[str, Step]) -> dict[str, Any]:
+        told.append((max(step.epoch for step in steps.values()), {name: step.epoch for name, step in steps.items()}))
+        return {}
+
+    canvas = KeptCanvas()
+    shown = ViewPresenter(canvas, together=together)
+    shown.set_roster(rated())
+    for epoch in range(1, 7):
+        shown.step("world", Level(), step(epoch, float(epoch)))
+    assert "hierarchy" not in canvas.drawn[1]  # slow has not told of it
+    for epoch in (1, 4):
+        shown.step("slow", Level(), step(epoch, float(epoch)))
+    assert [epoch for epoch in sorted(canvas.drawn) if "slow/belief" in canvas.drawn[epoch]] == [1, 4]
+    assert [epoch for epoch in sorted(canvas.drawn) if "hierarchy" in canvas.drawn[epoch]] == [1, 2, 3, 4, 5, 6]
+    assert told == [(n, {"world": n, "slow": 1 if n < 4 else 4}) for n in range(1, 7)]
+    graph = canvas.drawn[5]["hierarchy"].thing
+    assert isinstance(graph, Graph)
+    assert graph.nodes["world"] == "world\nepoch 5, with slow 1\nlevel 5"
+    assert graph.nodes["slow"] == "slow\nepoch 4\nlevel 4"

@@ -37,6 +37,14 @@ def test_some_epochs_are_left_out_and_the_oldest_forgotten() -> None:
     assert epochs == list(range(99 - 3 * (STEPS_KEPT - 1), 100, 3))
 
 
+def test_a_node_with_rates_is_seen_as_seldom_whatever_its_turns() -> None:
+    stepper = Stepper()
+    stepper.every = 4
+    for epoch in range(3, 100, 10):  # none of which four divides
+        stepper.completed(completed(epoch))
+    assert [read_step(data)[1].epoch for data in stepper.take()] == list(range(13, 100, 10))
+
+
 def test_what_cannot_travel_is_left_out() -> None:
     stepper = Stepper()
     stepper.completed(completed(1, sensed=object()))
