@@ -158,7 +158,7 @@ class Rates:
         return self._passed.get(name, (EVERY_EPOCH,))
 
     def is_told(self, name: str, epoch: int) -> bool:
-        """Whether a node is sent observations of an epoch, also of one that is not drained: of such it is in any case."""
+        """Whether a node is sent observations of an epoch that is not drained; of a drained one, it is in any case."""
         return any(turns.include(epoch) for turns in self.passes(name))
 
     @cached_property
