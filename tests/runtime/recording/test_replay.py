@@ -50,11 +50,7 @@ def is_repeated(recording: Recording, **options: object) -> int:
     return comparison.epochs
 
 
-RATED = {"servo-rates"}
-"""Recordings do not know rates."""
-
-
-@pytest.mark.parametrize("name", sorted(set(shipped()) - RATED))
+@pytest.mark.parametrize("name", sorted(shipped()))
 def test_every_shipped_deployment_is_repeated(name: str, tmp_path: Path) -> None:
     recording, report = record_file(tmp_path / "run.mcap", name, *QUICK[name], epochs=3)
     assert is_repeated(recording) == report.epochs
