@@ -21,11 +21,18 @@ SEED = 12
 TIMES = 24
 
 
+RATED = ("--set", "nodes.motion.every=3", "--set", "edges.camera -> motion.delay=2", "--epochs", "9")
+
+
+def recorded(folder: Path, *options: str) -> Subject:
+    file = folder / "servo.mcap"
+    assert main(["run", "servo", *options, "--record", str(file)]) == 0
+    return Subject("servo", (), file, Contents.read(file), "camera")
+
+
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
-    file = tmp_path_factory.mktemp("junk") / "servo.mcap"
-    assert main(["run", "servo", "--epochs", "4", "--record", str(file)]) == 0
-    return Subject("servo", (), file, Contents.read(file), "camera")
+    return recorded(tmp_path_factory.mktemp("junk"), "--epochs", "4")
 
 
 def test_no_junk_ends_a_command_with_a_traceback(subject: Subject, tmp_path: Path) -> None:
@@ -34,6 +41,10 @@ def test_no_junk_ends_a_command_with_a_traceback(subject: Subject, tmp_path: Pat
         path = tmp_path / "spoilt.mcap"
         what = spoilt(random_, subject.contents, path)
         assert list(faults(subject, path, random_, some=3)) == [], f"seed {SEED}, recording {number}, {what}"
+
+
+def test_nor_does_junk_where_nodes_have_rates(tmp_path: Path) -> None:
+    test_no_junk_ends_a_command_with_a_traceback(recorded(tmp_path, *RATED), tmp_path)
 
 
 def changed(subject: Subject, path: Path, segment: str, change: Callable[[Any], Any], first: int = 0) -> Path:
