@@ -101,12 +101,6 @@ def _as_if_still_done(former: Former, epoch: int) -> int:
 MISTAKES: dict[str, tuple[Any, str, Any]] = {
     "what counted before a change counts no more": (Former, "in_force", lambda *_: 0),
     "what would have been said by the old rates counts": (Former, "in_force", _as_if_still_done),
-    "who comes has had turns before": (
-        Rates,
-        "takes_part",
-        lambda rates, *turn: rates.turns_of(turn[0]).include(turn[1]),
-    ),
-    "edges that come were there before": (Rates, "since", lambda *_: 0),
     "rates that change count for what was said before": (Timing, "as_of", lambda *_: Timing()),
     "a change of rates is none": (roster_changes, "_with_timing", lambda old, new, *_: replace(new, timing=old.timing)),
 }
