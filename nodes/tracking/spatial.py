@@ -40,10 +40,10 @@ class SpatialNode(Node):
         friction: of the bodies.
 
     Attributes:
-        table_middle_m: (3,) where the table is shown.
+        table_middle_m: (3,) where the table is shown; None: at the world's origin.
     """
 
-    table_middle_m: ClassVar[Floats] = np.zeros(3)
+    table_middle_m: ClassVar[Floats | None] = None
 
     def __init__(
         self,
@@ -137,7 +137,8 @@ class SpatialNode(Node):
 
     def show(self, step: Step, before: Value) -> Things:
         """The bodies, and what the camera is expected to see."""
-        return spatial_things(step, self.table_middle_m if self._table else None)
+        middle = np.zeros(3) if self.table_middle_m is None else self.table_middle_m
+        return spatial_things(step, middle if self._table else None)
 
     def _moved(self, body: schema.Body, seen: schema.SeenObject, interval_s: float | None) -> schema.Body:
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""

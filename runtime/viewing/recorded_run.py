@@ -117,7 +117,8 @@ def recorded_look(recording: Recording, name: str, epoch: int | None, allowance:
         raise RecordingError(f"{recording.path}: there is no node {name!r} in it{did_you_mean(name, roster.nodes)}")
     if roster is None or found is None or (epoch is not None and found.step.epoch != epoch):
         which = "any epoch" if epoch is None else f"epoch {epoch}"
-        before = "" if found is None else f"; it took part in epoch {found.step.epoch} last before that"
+        seldom = found is not None and roster is not None and roster.rates is not None
+        before = f"; it took part in epoch {found.step.epoch} last before that" if found and seldom else ""
         raise RecordingError(f"{recording.path}: what {name} did in {which} is not in it{before}")
     return found, roster
 
