@@ -27,7 +27,7 @@ FURTHER = {
     "delays on both edges": "DELAY_WORLD=1",
     "delays on both edges, every second epoch": "DELAY_WORLD=1 EVERY=2 OFFSET=1",
     "two deaths, three epochs": "CRASHES=2 EPOCHS=3",
-    "two deaths, every second epoch": "CRASHES=2 EVERY=2 GATHER",
+    "two deaths, every second epoch, gathered": "CRASHES=2 EVERY=2 GATHER",
     "damage, four epochs": "DAMAGE",
     "damage, every second epoch": "DAMAGE EVERY=2 GATHER",
 }
