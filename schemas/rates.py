@@ -1,6 +1,6 @@
 """How often nodes take part in epochs, and from when on what is predicted counts below."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -43,6 +43,14 @@ class Turns:
 
 
 EVERY_EPOCH = Turns()
+
+
+def includes(passed: Sequence[Turns], epoch: int) -> bool:
+    """Whether an epoch is among these turns."""
+    for turns in passed:  # noqa: SIM110 - a loop takes half the time of any()
+        if turns.include(epoch):
+            return True
+    return False
 
 
 class Began(NamedTuple):
@@ -159,7 +167,7 @@ class Rates:
 
     def is_told(self, name: str, epoch: int) -> bool:
         """Whether a node is sent observations of an epoch that is not drained; of a drained one, it is in any case."""
-        return any(turns.include(epoch) for turns in self.passes(name))
+        return includes(self.passes(name), epoch)
 
     @cached_property
     def _passed(self) -> Mapping[str, tuple[Turns, ...]]:

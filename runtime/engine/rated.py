@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
-from hierax.runtime.engine.coming import ComingEpochs, includes
+from hierax.runtime.engine.coming import ComingEpochs
 from hierax.runtime.engine.effects import EngineEffects, Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.kept import KeptMessages
@@ -30,7 +30,7 @@ from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, DRAIN, GREETING, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
-from hierax.schemas.rates import Rates
+from hierax.schemas.rates import Rates, includes
 from hierax.schemas.values import fits
 
 

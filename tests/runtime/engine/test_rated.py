@@ -20,13 +20,12 @@ from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
-from hierax.runtime.engine.coming import includes
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.messages import OBSERVATIONS, Message
-from hierax.schemas.rates import Rates, Turns
+from hierax.schemas.rates import Rates, Turns, includes
 
 EPOCHS = 12
 
