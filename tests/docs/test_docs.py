@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import re
 import shlex
@@ -40,6 +41,15 @@ def test_links_between_pages_lead_somewhere() -> None:
         if "://" not in link and not (page.parent / link).exists()
     ]
     assert not links
+
+
+def test_the_modules_of_the_reference_are_there() -> None:
+    named = [
+        name
+        for page in sorted(DOCS.glob("reference/*.md"))
+        for name in re.findall(r"^::: (\S+)", page.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+    assert named and not [name for name in named if importlib.util.find_spec(name) is None]
 
 
 def test_there_are_pages_to_run() -> None:
