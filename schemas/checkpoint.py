@@ -180,6 +180,8 @@ def encode_under_way(
     gathered: Mapping[str, tuple[Value, ...]] | None = None,
 ) -> bytes:
     """The bytes of an `UnderWay`, its messages encoded already. Raises `SchemaError` if the belief is no value."""
+    if sensed is None and not gathered:
+        return pack(((), tuple(said), tuple(forgotten)), PACKERS)
     fields = (() if sensed is None else sensed, tuple(said), tuple(forgotten))
     return encode_value((*fields, gathered) if gathered else fields)
 

@@ -61,19 +61,25 @@ class Began(NamedTuple):
     is_new: bool  # whether there was no such edge before
 
 
-class Former(NamedTuple):
-    """The rates that an edge has until its roster takes effect."""
+class EdgeRates(NamedTuple):
+    """Which of the epochs of an edge's upper node count in which of its lower one."""
 
-    every: int  # of its upper node
+    every: int  # of the upper node
     offset: int  # likewise
     delay: int
-    epoch: int  # as `Began` has it; 0: the beginning of the run
-    counts: int  # likewise
+    epoch: int = 0  # as `Began` has it; 0: the beginning of the run
+    counts: int = 0  # likewise
 
     def in_force(self, epoch: int) -> int:
-        """The epoch whose context and tasks count in this one, which is not done by these rates any more."""
-        turn = Turns(self.every, self.offset).last(epoch - max(self.delay, 1))
-        return turn if turn >= self.epoch else self.counts
+        """The epoch whose context and tasks count in this one; 0: there are none yet."""
+        every, offset, delay, began, counts = self
+        at = epoch - delay
+        turn = at - (at - offset) % every
+        return turn if turn >= began else counts
+
+    def last(self, epoch: int) -> int:
+        """The same of the first epoch that is not done by these rates any more."""
+        return self._replace(delay=max(self.delay, 1)).in_force(epoch)
 
 
 @dataclass(frozen=True)
@@ -85,12 +91,12 @@ class Timing:
     since: Mapping[str, int] = field(default_factory=dict)  # the first epoch, by node
     began: Mapping[Pair, Began] = field(default_factory=dict)  # by edge
     fresh: frozenset[str] = frozenset()  # the nodes that come, or have other turns, with the roster's first epoch
-    changed: Mapping[Pair, Former | None] = field(default_factory=dict)  # likewise edges; None: there was none before
+    changed: Mapping[Pair, EdgeRates | None] = field(default_factory=dict)  # likewise edges; None: it is new
 
     def as_of(self, epoch: int) -> "Timing":
         """The same once the roster's first epoch is known."""
         began = {
-            pair: Began(epoch, 0, True) if former is None else Began(epoch, former.in_force(epoch), False)
+            pair: Began(epoch, 0, True) if former is None else Began(epoch, former.last(epoch), False)
             for pair, former in self.changed.items()
         }
         return Timing({**self.since, **dict.fromkeys(self.fresh, epoch)}, {**self.began, **began})
@@ -125,11 +131,11 @@ _TIMING = {
 """The fields of a timing as a value."""
 
 
-def _read_changed(value: Value, where: str) -> list[tuple[Pair, Former | None]]:
+def _read_changed(value: Value, where: str) -> list[tuple[Pair, EdgeRates | None]]:
     for _, _, former in value:
         if former is not None and not (fits(former, tuple[int, int, int, int, int]) and former[0] > former[1] >= 0):
             raise SchemaError(f"expected five whole numbers, or none, got {shown(former)}", f"{where}.changed")
-    return [((lower, upper), None if each is None else Former(*each)) for lower, upper, each in value]
+    return [((lower, upper), None if each is None else EdgeRates(*each)) for lower, upper, each in value]
 
 
 FROM_THE_BEGINNING = Timing()
@@ -196,21 +202,18 @@ class Rates:
 
     def in_force(self, lower: str, upper: str, epoch: int) -> int:
         """The epoch whose context and tasks from above count in this one; 0: there are none yet."""
-        pair = (lower, upper)
-        turn = self.turns_of(upper).last(epoch - self.delays.get(pair, 0))
-        began = self.timing.began.get(pair)
-        return turn if began is None or turn >= began.epoch else began.counts
+        return self.edge(lower, upper).in_force(epoch)
 
     def since(self, lower: str, upper: str) -> int:
         """The first epoch in which there is an edge; 0: it is there from the beginning."""
         began = self.timing.began.get((lower, upper))
         return began.epoch if began is not None and began.is_new else 0
 
-    def former(self, lower: str, upper: str) -> Former:
-        """The rates of an edge that is about to have other ones."""
+    def edge(self, lower: str, upper: str) -> EdgeRates:
+        """The rates of an edge."""
         turns, began = self.turns_of(upper), self.timing.began.get((lower, upper))
         delay = self.delays.get((lower, upper), 0)
-        return Former(turns.every, turns.offset, delay, *((0, 0) if began is None else began[:2]))
+        return EdgeRates(turns.every, turns.offset, delay, *(() if began is None else began[:2]))
 
     @property
     def latest(self) -> int:

@@ -24,9 +24,7 @@ class KeptMessages:
 
     def forget(self, slot: Slot, before: int) -> None:
         """Those of the epochs before this one count no more."""
-        kept = self._slots[slot]
-        for epoch in [epoch for epoch in kept if epoch < before]:
-            del kept[epoch]
+        _forget(self._slots[slot], before)
 
     def only(self, since: Mapping[Slot, int]) -> None:
         """Nothing is kept of other slots, nor what is of an epoch before these."""
@@ -37,5 +35,13 @@ class KeptMessages:
 
     def take(self, slot: Slot, epoch: int) -> Message:
         """What counts in this epoch alone; nothing of those before it counts any more."""
-        self.forget(slot, epoch)
-        return self._slots[slot].pop(epoch)
+        kept = self._slots[slot]
+        message = kept.pop(epoch)
+        if kept:
+            _forget(kept, epoch)
+        return message
+
+
+def _forget(kept: dict[int, Message], before: int) -> None:
+    for epoch in [epoch for epoch in kept if epoch < before]:
+        del kept[epoch]

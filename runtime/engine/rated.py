@@ -5,36 +5,28 @@ its turn it calls no operator of its own, and only hands on. Of other epochs it 
 nothing of a later one comes before all are done with that. What comes down is sent in turns alone, and kept for as long
 as it may count. Which epoch's input counts follows from the rates, not from what has come: a node waits for it.
 
-Nothing that was said is ever taken back, so an epoch has one attempt. What a node says stands in its checkpoint
-before it is heard, or follows from that: what it has sensed, the state after its last turn, and what it has said to
-its neighbours and they may lack. A process that comes in the place of a lost one goes on from there, and nobody else is
-undone. Who takes up a version of the roster greets its neighbours, with a message of epoch 0, and is told by each what
-it may lack; what comes twice is dropped.
+`SayingEngine` has what it says, and says again."""
 
-What a neighbour lacks is known by what it says. Context of a turn comes when that turn is in its sender's checkpoint,
-so observations up to there are not asked for again; observations of an epoch come when its sender has done the one
-before, so of what is in force by then, nothing older is."""
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.engine.coming import ComingEpochs
 from hierax.runtime.engine.effects import EngineEffects, Saved
-from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.kept import KeptMessages
+from hierax.runtime.engine.own_rates import OwnRates
 from hierax.runtime.engine.said import SaidMessages
+from hierax.runtime.engine.saying import SayingEngine
 from hierax.runtime.engine.table import ACTIONS, EPOCHS_AHEAD, ROSTERS_AHEAD, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import CONTEXT, DRAIN, GREETING, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
-from hierax.schemas.rates import Rates, includes
+from hierax.schemas.messages import CONTEXT, DRAIN, GREETING, NO_EXTENSIONS, OBSERVATIONS, Header, Message
+from hierax.schemas.rates import Rates
 from hierax.schemas.values import fits
 
 
-class RatedEngine(Engine):
+class RatedEngine(SayingEngine):
     """One node's part in every epoch, by the rates of its hierarchy.
 
     In a drained epoch a node that takes part hands on its context when all above it are done, and one that does not
@@ -56,7 +48,6 @@ class RatedEngine(Engine):
         self._told_above: frozenset[str] = frozenset()  # who above has to pass it
         self._told_rates: Rates | None = None  # what the roster says of rates
         self._greets = joins or saved is not None  # whether neighbours may have more than this process knows of
-        self._unsent: list[Message] | None = None
         self.drains = False  # whether the epoch under way is a drained one; of the world's, to be set before it begins
         self._used: list[tuple[str, str, int, int]] = []
         self.overruns: dict[str, int] = {}  # by node above, how often its delayed prediction was waited for
@@ -66,25 +57,28 @@ class RatedEngine(Engine):
     def _wire(self, wiring: Wiring) -> None:
         super()._wire(wiring)
         self._instances = {**wiring.below, **wiring.above}
-        if wiring.place.rates is self._told_rates:  # a version that changes nothing here: they are known since when
+        if self._told_rates is not None and wiring.place.rates is self._told_rates:
+            self._take_rates(self._rates)  # a version that changes nothing of them: it is known since when they hold
             return
         self._told_rates = wiring.place.rates
-        self._rates = self._told_rates or Rates()
-        self._passed_above = {upper: self._rates.passes(upper) for upper in self.node.above}
+        self._take_rates(self._told_rates or Rates())
         name, delays = self.name, self._rates.delays
         apart = self._rates.turns_of(name).every + max(
             (delays.get((lower, name), 0) for lower in self.node.below), default=0
         )
         self._epochs_ahead = max(EPOCHS_AHEAD, 2 * apart)  # also of one that comes back, and is behind
 
+    def _take_rates(self, rates: Rates) -> None:
+        self._rates, self._own = rates, OwnRates(rates, self.wiring)
+
     def restore(self, saved: Saved) -> None:
         if not saved.epoch and not self._joins:  # the first epoch of a node that came later is its first one
             before = self._rates.timing.since.get(self.name, 1) - 1
             saved = saved._replace(epoch=before)
         super().restore(saved._replace(attempt=0))
-        self._coming = ComingEpochs(self._rates.passes(self.name), self.epoch)
+        self._coming = ComingEpochs(self._own.passes, self.epoch)
         self._turned = saved.epoch  # the last epoch whose state was saved; those after it that are past change nothing
-        self._remembered: tuple[int, Value] | None = None
+        self._remembered = None
         self._gathered: dict[str, list[Value]] = {}
         self._unheard = SaidMessages()
         if saved.under_way:
@@ -102,7 +96,7 @@ class RatedEngine(Engine):
     @property
     def under_way(self) -> bytes:
         said, forgotten = self._unheard.encoded(), self._unheard.forgotten
-        gathered = {lower: tuple(elements) for lower, elements in self._gathered.items()}
+        gathered = {lower: tuple(elements) for lower, elements in self._gathered.items()} if self._gathered else {}
         try:
             return encode_under_way(self._remembered, said, forgotten, gathered)
         except SchemaError:  # a belief is looked at when it has predicted; before, it need not be one that can travel
@@ -153,8 +147,9 @@ class RatedEngine(Engine):
     def _begin_rates(self) -> None:
         """Take up the rates of a roster with the next epoch, where that is its first one; what was said along edges
         that are gone, or to a node that had the name of a new one, is not said any more."""
-        self._rates = rates = self._rates.as_of(self.epoch + 1)
-        self._coming.begin(rates.passes(self.name), self.epoch)
+        rates = self._rates.as_of(self.epoch + 1)
+        self._take_rates(rates)
+        self._coming.begin(self._own.passes, self.epoch)
         since = {lower: rates.since(lower, self.name) for lower in self.node.below}
         since |= {upper: rates.since(self.name, upper) for upper in self.node.above}
         self._unheard.only(since)
@@ -177,37 +172,6 @@ class RatedEngine(Engine):
             return True
         self.epoch = max(self.epoch, last)
         return False
-
-    # --- what is said again
-
-    def _greet_first(self) -> None:
-        if not self._greets:
-            return
-        self._greets = False
-        for neighbour in (*self.node.above, *self.node.below):
-            self._greet(neighbour)
-
-    def _greet(self, neighbour: str) -> None:
-        kind = OBSERVATIONS if neighbour in self.node.above else CONTEXT
-        place = (self._roster, self.wiring.instance)
-        header = Header(kind, self.name, neighbour, GREETING, 0, *place, self.time_s, NO_DIGEST)
-        done = self.epoch - (self.phase is not Phase.DONE) if self.is_world else self._turned
-        since = self._rates.since(self.name, neighbour)  # who comes begins with that epoch
-        self._effects.send(Message(header, (done, since)))
-
-    def say_again(self, neighbour: str) -> None:
-        if self.begun:
-            self._greet(neighbour)
-            self._say_what_it_lacks(neighbour)
-
-    def _say_what_it_lacks(self, neighbour: str) -> None:
-        for message in self._unheard.to(neighbour):
-            header = message.header._replace(roster=self._roster, instance=self.wiring.instance)
-            self._effects.send(Message(header, message.payload))
-
-    def resend(self, receivers: Sequence[str]) -> None:
-        for receiver in receivers:
-            self.say_again(receiver)
 
     # --- what comes
 
@@ -266,17 +230,6 @@ class RatedEngine(Engine):
             self._join(since)
         self._say_what_it_lacks(header.sender)
 
-    def _check_sound(self, neighbour: str, instance: int, done: int) -> None:
-        """Raises `ContradictionError` if a neighbour goes on before what it was done with: nobody has that any more."""
-        if neighbour in self.node.above:
-            is_sound = self._unheard.has_from(neighbour, OBSERVATIONS, done + 1, instance)
-        else:
-            wanted = self._rates.in_force(neighbour, self.name, self._rates.next_turn(neighbour, done))
-            is_sound = self._unheard.has_from(neighbour, CONTEXT, wanted, instance)
-        if not is_sound:
-            what = f"{neighbour} goes on after epoch {done}, and was further when it said so last"
-            raise ContradictionError(f"{self.name}: {what}: its checkpoint was damaged, or somebody speaks in its name")
-
     def compare(self, message: Message) -> None:
         known = self._kept.of((message.header.sender, message.header.kind), message.header.epoch)
         if known is not None:
@@ -295,16 +248,6 @@ class RatedEngine(Engine):
         slot = (header.sender, header.kind)
         return header.instance == wiring.below.get(slot, wiring.above.get(slot))
 
-    def _forget(self, header: Header) -> None:
-        """What its sender will not ask for any more."""
-        peer = header.sender
-        if header.kind == OBSERVATIONS:
-            oldest = self._rates.in_force(peer, self.name, header.epoch)
-            for kind in (TASKS, CONTEXT) if self.wiring.task else (CONTEXT,):
-                self._unheard.forget(peer, kind, oldest, header.instance)
-        elif header.kind == CONTEXT and self._rates.takes_part(peer, header.epoch):
-            self._unheard.forget(peer, OBSERVATIONS, header.epoch + 1, header.instance)
-
     def _keep(self, message: Message) -> None:
         header = message.header
         slot = (header.sender, header.kind)
@@ -319,7 +262,7 @@ class RatedEngine(Engine):
         epoch = header.epoch
         if slot in self.wiring.below:
             return self._coming.include(epoch, DRAIN in header.extensions)
-        return epoch >= self._rates.in_force(self.name, slot[0], self.epoch)
+        return epoch >= self._own.oldest(slot, self.epoch)
 
     # --- what can be done with it
 
@@ -333,18 +276,17 @@ class RatedEngine(Engine):
                 self._turn(epoch, 0)
                 self.inbox = {slot: self._kept.take(slot, epoch) for slot in self.wiring.below}
                 self._sense()
-            elif self._lacking_above():
-                return
-            else:
+            elif self._can_predict():
                 self._predict()
+            else:
+                return
 
     def _turn(self, epoch: int, attempt: int) -> None:
         super()._turn(epoch, attempt)
         self._coming.look_on(epoch)
-        self._takes_part = self._rates.takes_part(self.name, epoch)
-        above = self.wiring.above if self._takes_part else ()
-        self._counting = {slot: self._rates.in_force(self.name, slot[0], epoch) for slot in above}
-        self._told_above = frozenset(upper for upper, passed in self._passed_above.items() if includes(passed, epoch))
+        self._takes_part = self._own.take_part(epoch)
+        self._counting = self._own.counting(epoch) if self._takes_part else {}
+        self._told_above = self._own.told_above(epoch)
 
     def _complete(self) -> int:
         """The first of the epochs that come next of which all observations are there; 0: of none, as for the world.
@@ -360,6 +302,12 @@ class RatedEngine(Engine):
         if self.phase is not Phase.DONE:
             return self._lacking_above()
         return [slot for slot in self.wiring.below if not self._kept.has(slot, self._coming.epochs[0])]
+
+    def _can_predict(self) -> bool:
+        for slot, epoch in self._counting.items():
+            if epoch and not self._kept.has(slot, epoch):
+                return False
+        return not (self.drains and self._lacking_above())
 
     def _lacking_above(self) -> list[Slot]:
         lacking = self._not_in_force()
@@ -451,33 +399,6 @@ class RatedEngine(Engine):
         for slot, oldest in self._counting.items():
             self._kept.forget(slot, oldest)
         super()._predict()
-
-    # --- what is said
-
-    def _tell_below(self) -> None:
-        self._say_what_is_saved(self._send_context)
-
-    def _hand_on_nothing(self) -> None:
-        for lower in self.node.below:
-            self._send(CONTEXT, lower, (), NO_DIGEST)
-
-    def _say_what_is_saved(self, say: Callable[[], None]) -> None:
-        """Write down what is about to be said, and where the node is, also at the end of a drained epoch: another
-        roster may follow, and then nobody is told any more what had been under the one before."""
-        self._turned, self._remembered = self.epoch, None
-        self._unsent = []
-        say()
-        unsent, self._unsent = self._unsent, None
-        self._effects.save(self.epoch, 0, self.encoded_start, self.encoded)  # with what is about to be sent
-        for message in unsent:
-            self._effects.send(message)
-
-    def _deliver(self, message: Message) -> None:
-        self._unheard.keep(message)
-        if self._unsent is None:
-            self._effects.send(message)
-        else:
-            self._unsent.append(message)
 
     def _extensions(self, kind: str) -> Mapping[str, Value]:
         return {DRAIN: True} if kind == OBSERVATIONS else NO_EXTENSIONS

@@ -12,25 +12,33 @@ class SaidMessages:
 
     def __init__(self, messages: Iterable[Message] = (), forgotten: Iterable[Forgotten] = ()) -> None:
         self._messages: dict[Slot, dict[int, Message]] = {}
-        self._bytes: dict[tuple[Slot, int], bytes] = {}
-        self._forgotten = {(receiver, kind): (before, by) for receiver, kind, before, by in forgotten}
+        self._bytes: dict[Slot, dict[int, bytes]] = {}
+        self._forgotten: dict[Slot, Forgotten] = {(each[0], each[1]): each for each in forgotten}
         for message in messages:
             self.keep(message)
 
     def keep(self, message: Message) -> None:
         """One more. Where it is there of that epoch, as the node has come back and does it again, it says the same."""
         header = message.header
-        self._messages.setdefault((header.receiver, header.kind), {})[header.epoch] = message
+        slot = (header.receiver, header.kind)
+        kept = self._messages.get(slot)
+        if kept is None:
+            kept, self._bytes[slot] = self._messages.setdefault(slot, {}), {}
+        kept[header.epoch] = message
 
     def forget(self, receiver: str, kind: str, before: int, instance: int) -> None:
         """A neighbour, of this instance, will not ask any more for those of the epochs before this one."""
         slot = (receiver, kind)
-        kept, known = self._messages.get(slot, {}), self._forgotten.get(slot)
-        if known is None or known < (before, instance):
-            self._forgotten[slot] = (before, instance)
-        for epoch in [epoch for epoch in kept if epoch < before]:
-            del kept[epoch]
-            self._bytes.pop((slot, epoch), None)
+        known = self._forgotten.get(slot)
+        if known is None or known[2:] < (before, instance):
+            self._forgotten[slot] = (receiver, kind, before, instance)
+        if kept := self._messages.get(slot):
+            self._drop(slot, [epoch for epoch in kept if epoch < before])
+
+    def _drop(self, slot: Slot, epochs: Iterable[int]) -> None:
+        for epoch in epochs:
+            del self._messages[slot][epoch]
+            self._bytes[slot].pop(epoch, None)
 
     def only(self, since: Mapping[str, int]) -> None:
         """What was said to these, from an epoch on; nothing was forgotten of who came later than the run began."""
@@ -38,16 +46,14 @@ class SaidMessages:
             receiver = slot[0]
             first = since.get(receiver)
             kept = self._messages.get(slot, {})
-            for epoch in [epoch for epoch in kept if first is None or epoch < first]:
-                del kept[epoch]
-                self._bytes.pop((slot, epoch), None)
-            if first is None or self._forgotten.get(slot, (0, 0))[0] < first:
-                self._forgotten.pop(slot, None)
+            self._drop(slot, [epoch for epoch in kept if first is None or epoch < first])
+            if slot in self._forgotten and (first is None or self._forgotten[slot][2] < first):
+                del self._forgotten[slot]
 
     def has_from(self, receiver: str, kind: str, epoch: int, instance: int) -> bool:
         """Whether nothing is forgotten of what was said in an epoch, or later; what the same instance has let be
         forgotten, it had."""
-        before, had_by = self._forgotten.get((receiver, kind), (0, instance))
+        _, _, before, had_by = self._forgotten.get((receiver, kind), (receiver, kind, 0, instance))
         return before <= epoch or had_by == instance
 
     def to(self, receiver: str) -> list[Message]:
@@ -57,19 +63,17 @@ class SaidMessages:
 
     def encoded(self) -> tuple[bytes, ...]:
         """All that any of them may lack."""
-        return tuple(
-            self._encoded(slot, epoch, message)
-            for slot, kept in self._messages.items()
-            for epoch, message in kept.items()
-        )
+        found: list[bytes] = []
+        for slot, kept in self._messages.items():
+            encoded = self._bytes[slot]
+            for epoch, message in kept.items():
+                data = encoded.get(epoch)
+                if data is None:
+                    data = encoded[epoch] = encode_message(message)
+                found.append(data)
+        return tuple(found)
 
     @property
     def forgotten(self) -> tuple[Forgotten, ...]:
         """What neighbours do not ask for any more."""
-        return tuple((*slot, *known) for slot, known in self._forgotten.items())
-
-    def _encoded(self, slot: Slot, epoch: int, message: Message) -> bytes:
-        data = self._bytes.get((slot, epoch))
-        if data is None:
-            data = self._bytes[slot, epoch] = encode_message(message)
-        return data
+        return tuple(self._forgotten.values())

@@ -10,7 +10,7 @@ from typing import Any
 from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.core.graph import check_graph, unreached
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.schemas.rates import EVERY_EPOCH, Former, Pair, Rates, Timing, Turns
+from hierax.schemas.rates import EVERY_EPOCH, EdgeRates, Pair, Rates, Timing, Turns
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
@@ -163,7 +163,7 @@ def _with_timing(old: Roster, new: Roster, came: Collection[str], what: str) -> 
         return new
     timing, known = before.timing, {edge.pair: edge for edge in old.edges}
     others = {name for name in new.nodes if new.turns.get(name) != old.turns.get(name)}
-    changed: dict[Pair, Former | None] = {}
+    changed: dict[Pair, EdgeRates | None] = {}
     for edge in new.edges:
         pair, was = edge.pair, known.get(edge.pair)
         if was is None:
@@ -171,7 +171,7 @@ def _with_timing(old: Roster, new: Roster, came: Collection[str], what: str) -> 
         elif pair in timing.changed:
             changed[pair] = timing.changed[pair]
         elif edge.upper in others or edge.delay != was.delay:
-            changed[pair] = before.former(*pair)
+            changed[pair] = before.edge(*pair)
     fresh = {name for name in new.nodes if name in timing.fresh or name in others or name in came}
     since = {name: epoch for name, epoch in timing.since.items() if name in new.nodes and name not in fresh}
     began = {pair: each for pair, each in timing.began.items() if pair in known and pair not in changed}

@@ -66,7 +66,8 @@ class Mixing(Node):
         return 1
 
     def observe(self, observations: Elements, belief: Value) -> Value:
-        time.sleep(self.takes_s)
+        if self.takes_s:
+            time.sleep(self.takes_s)
         return _mixed(observations, belief)
 
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick) -> Value:

@@ -21,7 +21,7 @@ RECONSIDER, COMMITTED = Planning.reconsider, EpochProgress.committed
 
 def _counts_when_prepared(engine: RatedEngine, wiring: Wiring) -> None:
     if wiring.place.rates is not None:
-        engine._rates = wiring.place.rates.as_of(engine.epoch + 1)
+        engine._take_rates(wiring.place.rates.as_of(engine.epoch + 1))
     PREPARE(engine, wiring)
 
 
@@ -52,7 +52,7 @@ def _changes_beside_what_is_lost(planning: Planning) -> None:
 
 def _begins_anew_with_each_version(engine: RatedEngine, wiring: Wiring) -> None:
     Engine._wire(engine, wiring)
-    engine._rates = wiring.place.rates or Rates()
+    engine._take_rates(wiring.place.rates or Rates())
     engine._epochs_ahead = 1000
 
 

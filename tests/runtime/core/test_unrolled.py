@@ -25,7 +25,7 @@ from hierax.runtime.owner.roster_changes import ChangeError, next_roster
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.rated import draw_rated_change, with_rates
 from hierax.runtime.sim.scenario import draw_scenario
-from hierax.schemas.rates import Former, Rates, Timing, Turns
+from hierax.schemas.rates import EdgeRates, Rates, Timing, Turns
 from hierax.schemas.roster import Roster
 
 EPOCHS = 16
@@ -94,13 +94,13 @@ def test_what_counts_when_rosters_change_is_what_the_direct_implementation_says(
     check(seed)
 
 
-def _as_if_still_done(former: Former, epoch: int) -> int:
+def _as_if_still_done(former: EdgeRates, epoch: int) -> int:
     return Turns(former.every, former.offset).last(epoch - former.delay)
 
 
 MISTAKES: dict[str, tuple[Any, str, Any]] = {
-    "what counted before a change counts no more": (Former, "in_force", lambda *_: 0),
-    "what would have been said by the old rates counts": (Former, "in_force", _as_if_still_done),
+    "what counted before a change counts no more": (EdgeRates, "last", lambda *_: 0),
+    "what would have been said by the old rates counts": (EdgeRates, "last", _as_if_still_done),
     "rates that change count for what was said before": (Timing, "as_of", lambda *_: Timing()),
     "a change of rates is none": (roster_changes, "_with_timing", lambda old, new, *_: replace(new, timing=old.timing)),
 }

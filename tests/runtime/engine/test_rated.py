@@ -22,10 +22,11 @@ from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.own_rates import OwnRates
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.messages import OBSERVATIONS, Message
-from hierax.schemas.rates import Rates, Turns, includes
+from hierax.schemas.rates import EdgeRates, Rates, Turns, includes
 
 EPOCHS = 12
 
@@ -147,23 +148,23 @@ def _senses_in_turns_alone(rates: Rates, lower: str, upper: str, epoch: int) -> 
     return IS_SENSED(rates, lower, upper, epoch) and rates.takes_part(lower, epoch)
 
 
-def _counts_at_once(rates: Rates, lower: str, upper: str, epoch: int) -> int:
-    return IN_FORCE_SINCE(Rates(rates.turns), lower, upper, epoch)
+def _counts_at_once(edge: EdgeRates, epoch: int) -> int:
+    return COUNTS(edge._replace(delay=0), epoch)
 
 
-def _counts_one_later(rates: Rates, lower: str, upper: str, epoch: int) -> int:
-    return IN_FORCE_SINCE(rates, lower, upper, epoch - 1)
+def _counts_one_later(edge: EdgeRates, epoch: int) -> int:
+    return COUNTS(edge, epoch - 1)
 
 
 IN_FORCE, GATHER = RatedEngine._in_force, RatedEngine._gather
-IS_SENSED, IN_FORCE_SINCE = Rates.is_sensed, Rates.in_force
+IS_SENSED, COUNTS = Rates.is_sensed, EdgeRates.in_force
 MISTAKES = {
     "the newest in hand counts": (RatedEngine, "_in_force", _newest),
     "what was gathered in other epochs is forgotten": (RatedEngine, "_gather", _forgets),
     "who has no turn is not observed": (Rates, "is_sensed", _senses_in_turns_alone),
-    "delays are left out": (Rates, "in_force", _counts_at_once),
-    "all counts one epoch later": (Rates, "in_force", _counts_one_later),
-    "every node takes part in every epoch": (Rates, "takes_part", lambda *_: True),
+    "delays are left out": (EdgeRates, "in_force", _counts_at_once),
+    "all counts one epoch later": (EdgeRates, "in_force", _counts_one_later),
+    "every node takes part in every epoch": (OwnRates, "take_part", lambda *_: True),
 }
 
 

@@ -1,0 +1,47 @@
+"""The rates of a hierarchy as one node has them, laid out so that little is left to do in an epoch."""
+
+from hierax.runtime.engine.wiring import Slot, Wiring
+from hierax.schemas.rates import EVERY_EPOCH, Rates, includes
+
+
+class OwnRates:
+    """What a node does in which epoch.
+
+    Args:
+        rates: of the hierarchy, of which it is known since when they hold.
+        wiring: of the node.
+    """
+
+    def __init__(self, rates: Rates, wiring: Wiring) -> None:
+        node = wiring.node
+        name = node.name
+        self.passes = rates.passes(name)  # the epochs of which it is told
+        self._turns = rates.turns_of(name)
+        self._first = rates.timing.since.get(name, 1)
+        self._above = {slot: rates.edge(name, slot[0]) for slot in wiring.above}
+        self._below = {lower: rates.edge(lower, name) for lower in node.below}
+        self._told = tuple((upper, rates.passes(upper)) for upper in node.above)
+        self._all = frozenset(node.above)
+        self._tells_all = all(EVERY_EPOCH in passed for _, passed in self._told)
+
+    def take_part(self, epoch: int) -> bool:
+        """Whether an epoch is the node's turn."""
+        return self._turns.include(epoch) and epoch >= self._first
+
+    def counting(self, epoch: int) -> dict[Slot, int]:
+        """By slot, the epoch whose input from above counts in a turn of the node; 0: there is none yet."""
+        return {slot: edge.in_force(epoch) for slot, edge in self._above.items()}
+
+    def oldest(self, slot: Slot, epoch: int) -> int:
+        """The epoch whose input counts in the one of a slot that is reached."""
+        return self._above[slot].in_force(epoch)
+
+    def counts_below(self, lower: str, epoch: int) -> int:
+        """The epoch of the node whose context counts at a neighbour below in this one; 0: there is none yet."""
+        return self._below[lower].in_force(epoch)
+
+    def told_above(self, epoch: int) -> frozenset[str]:
+        """Which neighbours above pass an epoch that is not drained."""
+        if self._tells_all:
+            return self._all
+        return frozenset(upper for upper, passed in self._told if includes(passed, epoch))
