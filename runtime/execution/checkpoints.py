@@ -21,10 +21,12 @@ class Checkpoints:
 
     def __init__(self, slots: Slots) -> None:
         self._slots = slots  # where they are
+        self.newest: Checkpoint | None = None  # of those that were written or read
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Write one over the older of two. Raises `HieraxError` if the storage failed."""
         self._slots.write(encode_checkpoint(checkpoint))
+        self.newest = checkpoint
 
     def save_first(self, checkpoint: Checkpoint) -> None:
         """Write one to both slots: one that is damaged beside an empty one would count as never whole."""
@@ -41,7 +43,7 @@ class Checkpoints:
             if faults:
                 _log.warning("checkpoint: %s; no other was ever written, so the node begins anew", faults)
             return None
-        checkpoint = decode_checkpoint(data)
+        checkpoint = self.newest = decode_checkpoint(data)
         if faults:
             _log.warning("checkpoint: %s; using that of epoch %d", faults, checkpoint.epoch)
         start, now = (ActiveNode(*decode_state(state)) for state in (checkpoint.start, checkpoint.now))

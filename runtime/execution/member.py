@@ -356,8 +356,11 @@ class Member(Host):
             return
         if engine.epoch == order.epoch and engine.phase is Phase.DONE:
             engine.go_back_to(order.attempt)
-            self._report(control.State(self.name, order.version, engine.encoded, engine.under_way))
-        elif engine.epoch == order.epoch + 1:
+            # As a new process in this one's place would have it: whoever asks again is told the same.
+            newest = self._checkpoints.newest
+            under_way = engine.under_way if newest is None else newest.under_way
+            self._report(control.State(self.name, order.version, engine.encoded, under_way))
+        elif engine.epoch == order.epoch + 1 and not isinstance(engine, RatedEngine):  # else it was given up
             self._report(control.State(self.name, order.version, engine.encoded_start))
 
     def _take_over(self, order: control.TakeOver) -> None:

@@ -8,10 +8,13 @@ from typing import Any
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.rated import RatedEngine
+from hierax.runtime.engine.table import Phase
 from hierax.runtime.engine.wiring import Wiring
+from hierax.runtime.execution.member import Member
 from hierax.runtime.owner.context import EpochProgress
 from hierax.runtime.owner.planning import Planning
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
+from hierax.schemas.control import HandOver, State
 from hierax.schemas.messages import encode_message
 from hierax.schemas.rates import Rates
 
@@ -56,6 +59,12 @@ def _begins_anew_with_each_version(engine: RatedEngine, wiring: Wiring) -> None:
     engine._epochs_ahead = 1000
 
 
+def _hands_over_what_it_has_by_now(member: Member, order: HandOver) -> None:
+    engine = member.engine
+    if engine is not None and engine.phase is Phase.DONE:
+        member._report(State(member.name, order.version, engine.encoded, engine.under_way))
+
+
 MISTAKES: dict[str, tuple[Any, str, Any]] = {
     "rates count when a version is prepared": (RatedEngine, "prepare", _counts_when_prepared),
     "what was said is not handed over": (RatedEngine, "take_over", _hands_no_messages_over),
@@ -64,5 +73,6 @@ MISTAKES: dict[str, tuple[Any, str, Any]] = {
     "who comes is not told with which epoch it begins": (Rates, "since", lambda *_: 0),
     "a change is made beside who is lost": (Planning, "reconsider", _changes_beside_what_is_lost),
     "rates begin anew with a version that leaves them": (RatedEngine, "_wire", _begins_anew_with_each_version),
+    "what is handed over is what the node has by now": (Member, "_hand_over", _hands_over_what_it_has_by_now),
 }
 """What each breaks."""
