@@ -80,6 +80,11 @@ class Engine:
     overlaps = False  # whether a node may be in another epoch than the world
 
     @property
+    def waited(self) -> bool:
+        """Whether the node has waited for somebody above in the last epoch that it has done."""
+        return bool(self.node.above)
+
+    @property
     def under_way(self) -> bytes:
         """What has to be kept beside the states, as `hierax.schemas.checkpoint` has it; nothing, where epochs end for
         all at once."""

@@ -47,6 +47,7 @@ class RatedEngine(SayingEngine):
         self._counting: dict[Slot, int] = {}  # the epochs whose inputs from above count in it
         self._told_above: frozenset[str] = frozenset()  # who above has to pass it
         self._told_rates: Rates | None = None  # what the roster says of rates
+        self._has_waited = False
         self._greets = joins or saved is not None  # whether neighbours may have more than this process knows of
         self.drains = False  # whether the epoch under way is a drained one; of the world's, to be set before it begins
         self._used: list[tuple[str, str, int, int]] = []
@@ -101,6 +102,10 @@ class RatedEngine(SayingEngine):
             return encode_under_way(self._remembered, said, forgotten, gathered)
         except SchemaError:  # a belief is looked at when it has predicted; before, it need not be one that can travel
             return encode_under_way(None, said, forgotten, gathered)
+
+    @property
+    def waited(self) -> bool:
+        return self._has_waited
 
     @property
     def used(self) -> tuple[tuple[str, str, int, int], ...]:
@@ -276,14 +281,16 @@ class RatedEngine(SayingEngine):
                 self._turn(epoch, 0)
                 self.inbox = {slot: self._kept.take(slot, epoch) for slot in self.wiring.below}
                 self._sense()
-            elif self._can_predict():
-                self._predict()
-            else:
+            elif self._lacking_above():
+                self._has_waited = True
                 return
+            else:
+                self._predict()
 
     def _turn(self, epoch: int, attempt: int) -> None:
         super()._turn(epoch, attempt)
         self._coming.look_on(epoch)
+        self._has_waited = False
         self._takes_part = self._own.take_part(epoch)
         self._counting = self._own.counting(epoch) if self._takes_part else {}
         self._told_above = self._own.told_above(epoch)
@@ -302,12 +309,6 @@ class RatedEngine(SayingEngine):
         if self.phase is not Phase.DONE:
             return self._lacking_above()
         return [slot for slot in self.wiring.below if not self._kept.has(slot, self._coming.epochs[0])]
-
-    def _can_predict(self) -> bool:
-        for slot, epoch in self._counting.items():
-            if epoch and not self._kept.has(slot, epoch):
-                return False
-        return not (self.drains and self._lacking_above())
 
     def _lacking_above(self) -> list[Slot]:
         lacking = self._not_in_force()

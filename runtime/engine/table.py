@@ -178,7 +178,7 @@ ROSTERS_AHEAD = 1000
 EPOCHS_AHEAD = 1000
 ATTEMPTS_AHEAD = 1000
 """How far ahead of a node a message may be. Versions are used up by changes that are dropped, and attempts by
-processes that die; a node that lives takes part in each epoch."""
+processes that die; a node that lives takes part in each epoch, or has rates, which say how far ahead others are."""
 
 
 class Held:

@@ -246,7 +246,8 @@ class Member(Host):
             self._tried_in = None
 
     def log_level(self, header: Header, verdict: Verdict) -> int:
-        if verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
+        comes = verdict is Verdict.AHEAD and not self.active  # it knows of no epoch yet
+        if not comes and verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
             return logging.WARNING
         like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
         if like_it in self._refused or len(self._refused) >= REFUSED_TOLD:

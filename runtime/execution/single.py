@@ -17,7 +17,7 @@ from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.snippet import Scheduled
-from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.effects import Committed, Saved
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import taken_over
@@ -31,7 +31,7 @@ from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.loading.node_loader import NodeLoader, wait_for
 from hierax.runtime.owner.roster_changes import ChangeError, Undo, next_roster
-from hierax.runtime.transport.port import MemoryNetwork
+from hierax.runtime.transport.port import QUEUE_SIZE, MemoryNetwork
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Change, Detach, Replace, Roster, new_nodes
 
@@ -180,6 +180,15 @@ class _World(World):
         super().__init__(nodes.pacemaker)
         self._nodes = nodes  # of the run
         self.due = {scheduled.epoch for scheduled in nodes.schedule}  # the epochs before which the roster changes
+        self.paused = False  # whether it is the others' turn, too: in the last epoch it had nobody to wait for
+
+    def may_begin(self, runner: NodeRunner) -> bool:
+        return not self.paused and super().may_begin(runner)
+
+    def committed(self, committed: Committed) -> None:
+        super().committed(committed)
+        engine = self._nodes.runners[self._nodes.deployment.roster.world].engine
+        self.paused = engine.overlaps and not engine.waited
 
     def begin_next(self, runner: NodeRunner) -> None:
         epoch = runner.engine.epoch + 1
@@ -234,6 +243,7 @@ class _Nodes(Host):
         self._roster = deployment.roster
         self._world = deployment.roster.world
         self._network = MemoryNetwork(self.seed)
+        self._make_room()
         if self.record is not None:
             self._network.tap = self.record.message
         allowance = self._allowance = deployment.allowance
@@ -287,7 +297,16 @@ class _Nodes(Host):
         turn(self._world)
         runners[self._world].finish()
         yield  # a world without neighbours is done by now
-        while (name := network.next_receiver()) is not None:
+        while True:
+            if self._begins.paused and network.lets_go_on():
+                self._begins.paused = False
+                turn(self._world)
+                runners[self._world].finish()
+                yield
+                continue
+            name = network.next_receiver()
+            if name is None:
+                break
             message = runners[name].port.receive()
             if message is not None:
                 turn(name)
@@ -377,6 +396,7 @@ class _Nodes(Host):
         old = self._roster
         roster = self._roster = next_roster(old, change)
         version = roster.version
+        self._make_room()
         for name in sorted(old.nodes.keys() - roster.nodes.keys()):
             self._close(name)
         for name in sorted(roster.nodes):
@@ -388,6 +408,12 @@ class _Nodes(Host):
                 self.runners[name].engine.prepare(self._loaders[name].wiring(roster))
         self.runners[self._world].engine.rewire(version)
         self.pacemaker.chain.roster_hash = roster.content_hash()
+
+    def _make_room(self) -> None:
+        """A node with rates may be as many epochs ahead of others as counts back."""
+        rates = self._roster.rates
+        if rates is not None:
+            self._network.queue_size = max(self._network.queue_size, QUEUE_SIZE + 2 * rates.reach)
 
     def _come(self, name: str, epoch: int, replaces: bool) -> None:
         loader = self._loaders[name] = NodeLoader(name, self._setting, self._allowance)

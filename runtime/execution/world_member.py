@@ -225,7 +225,7 @@ class WorldMember(World, OwnerEffects):
         pace = self.pacemaker.pace
         if pace is not None:
             pace.ended()
-        if (pace is not None and pace.wait_s() > 0.0) or (self._pauses and not runner.engine.node.above):
+        if (pace is not None and pace.wait_s() > 0.0) or (self._pauses and not runner.engine.waited):
             self.paused = self.owner.progress.held = True
             self.write_record()  # nobody hears of a commit that a crash could undo
         else:

@@ -27,6 +27,7 @@ class Inquiry:
     _number: int = 0
     _resends: int = 0
     _answers: dict[str, Status] = field(default_factory=dict)
+    _places: dict[str, tuple[int, float]] = field(default_factory=dict)  # with rates: epochs of nodes, and since when
 
     def start(self) -> None:
         self._began_s = self.clock()
@@ -78,6 +79,12 @@ class Inquiry:
             what = f"the world goes on with epoch {epoch}, and that was committed already ({others})"
             self.effects.stop(f"{what}, or somebody else has sent them observations")
             return
+        if self.policy.rated:
+            at_work, got_on = busy, self._has_got_on()
+            busy = [name for name in at_work if self._is_stuck(name)]
+            if not (silent or busy) and (at_work or got_on):
+                self._began_s = self.clock() - self._deadline_s / 2
+                return
         self._note(epoch, silent, busy, waiting)
         if silent or busy:
             self._blame(epoch, silent, busy)
@@ -87,6 +94,22 @@ class Inquiry:
         else:
             self._resends = 0
             self._blame_link(waiting, behind)
+
+    def _has_got_on(self) -> bool:
+        """Whether a node is in another epoch than when all were asked before; with rates it may be behind by many."""
+        now, moved = self.clock(), False
+        for name, status in self._answers.items():
+            if self._places.get(name, (-1, 0.0))[0] != status.epoch:
+                self._places[name], moved = (status.epoch, now), True
+        return moved
+
+    def _is_stuck(self, name: str) -> bool:
+        """Whether a node is in one epoch for as long as one may take."""
+        return self.clock() - self._places[name][1] >= self._deadline_s
+
+    @property
+    def _deadline_s(self) -> float:
+        return self.policy.epoch_deadline_s or 0.0
 
     def _place_of(self, status: Status) -> tuple[int, ...]:
         """Where all have to be; with rates nodes may be in different epochs, and an epoch has one attempt."""

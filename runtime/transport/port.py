@@ -126,7 +126,7 @@ class MemoryNetwork:
     def __init__(self, seed: int = 0, queue_size: int = QUEUE_SIZE) -> None:
         self.random = Random(seed)
         self.waiting: DrawnSet[str] = DrawnSet(self.random)  # the nodes that have something to receive
-        self._queue_size = queue_size  # how many messages of one sender, receiver and kind may be under way
+        self.queue_size = queue_size  # how many messages of one sender, receiver and kind may be under way
         self._ports: dict[str, MemoryPort] = {}
 
     def open_port(self, name: str) -> "MemoryPort":
@@ -141,13 +141,18 @@ class MemoryNetwork:
         """A node that has a message to receive, by the seed; None where nothing is under way."""
         return self.waiting.draw() if self.waiting else None
 
+    def lets_go_on(self) -> bool:
+        """Whether a node that waits for nobody has its turn, by the seed: the more is under way, the more seldom."""
+        under_way = sum(port.under_way for port in self._ports.values())
+        return self.random.random() * (under_way + 1) < 1.0
+
     def put(self, message: Message) -> None:
         header = message.header
         port = self._ports.get(header.receiver)
         if port is None:
             raise TransportError(f"{header.sender}: no node {header.receiver!r} to send to")
         waiting = port.waiting((header.sender, header.kind))
-        if waiting >= self._queue_size:
+        if waiting >= self.queue_size:
             raise TransportError(
                 f"{header.sender}: {waiting} {header.kind} messages to {header.receiver} are not received yet"
             )
@@ -186,6 +191,11 @@ class MemoryPort(Port):
         """How many messages of a lane are not received yet."""
         queue = self._lanes.get(lane)
         return 0 if queue is None else len(queue)
+
+    @property
+    def under_way(self) -> int:
+        """How many messages are not received yet."""
+        return sum(len(queue) for queue in self._lanes.values())
 
     def put(self, lane: Lane, data: bytes) -> None:
         """A message is on its way here."""

@@ -8,7 +8,9 @@ into them any more; of others there is one copy.
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Container
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, TypeAlias
 
@@ -75,14 +77,25 @@ class SharedInbox:
         self.interrupted = False  # whether the node's thread is to look elsewhere; who takes messages ends that
         self._wanted = wanted  # gives the keys of neighbours
         self._queue: SimpleQueue[Item | None] = SimpleQueue()  # None: it was interrupted
+        self._stash: deque[Item | None] = deque()
         self._counting = threading.Lock()
         self._bytes = 0
         self._dropped: set[str] = set()
         self._closed = False
 
-    def put(self, handed: Handed) -> None:
-        """A message from another node of the process; waits while the queue is full."""
-        self._put(handed)
+    def put(self, handed: Handed, sender: "SharedInbox") -> None:
+        """A message from another node of the process, which waits while the queue is full. Meanwhile there is room
+        with it: who waits for one another in a circle would never go on."""
+        while self._is_full():
+            sender.stash()
+            time.sleep(ROOM_S)
+        self._add(handed)
+
+    def stash(self) -> None:
+        """Put aside what has come; called by the node's thread."""
+        with suppress(Empty):
+            while True:
+                self._stash.append(self._queue.get_nowait())
 
     def arrive(self, sample: zenoh.Sample) -> None:
         """A message that came by the network, in a thread of Zenoh's. It waits while the queue is full; what is more
@@ -94,8 +107,11 @@ class SharedInbox:
                 self._bytes += size
             elif str(sample.key_expr) in self._wanted():
                 self._dropped.add(str(sample.key_expr))
-        if not full:
-            self._put(sample)
+        if full:
+            return
+        while self._is_full():
+            time.sleep(ROOM_S)
+        self._add(sample)
 
     def handler(self) -> Any:
         """What a subscriber has to have."""
@@ -114,7 +130,7 @@ class SharedInbox:
         """The next message, slept for if it may wait; None: none, or interrupted."""
         while True:
             try:
-                item = self._queue.get(waits and not self._closed)
+                item = self._stash.popleft() if self._stash else self._queue.get(waits and not self._closed)
             except Empty:
                 return None
             if isinstance(item, zenoh.Sample):
@@ -136,9 +152,10 @@ class SharedInbox:
         self._closed = True
         self.interrupt()
 
-    def _put(self, item: Item) -> None:
-        while self._queue.qsize() >= ROOM and not self._closed:
-            time.sleep(ROOM_S)
+    def _is_full(self) -> bool:
+        return self._queue.qsize() >= ROOM and not self._closed
+
+    def _add(self, item: Item) -> None:
         if not self._closed:
             self._queue.put(item)
 

@@ -372,9 +372,11 @@ class ZenohPort(Port):
         publisher = self._publishers.get(lane)
         if publisher is None:
             raise TransportError(f"{self._name}: {message.header.receiver!r} takes no {kind} messages from it")
-        inbox = None if self._beside is None else self._inbox_of(self._beside, message)
-        if inbox is not None:
-            inbox.put(hand_over(self._keys.edge(kind, self._name, message.header.receiver), message))
+        beside = self._beside
+        inbox = None if beside is None else self._inbox_of(beside, message)
+        if beside is not None and inbox is not None:
+            handed = hand_over(self._keys.edge(kind, self._name, message.header.receiver), message)
+            inbox.put(handed, beside[self._process])
             return
         data = encode_message(message, self._lends.get(lane))
         if len(data) > self._most_bytes:

@@ -29,6 +29,26 @@ edges:
 """
 
 
+ALONE = """
+hierarchy: alone
+world: world
+nodes:
+  world: {class: "support.mixing_nodes:MixingWorld", parameters: {takes_s: 0.01}}
+  slow: {class: "support.mixing_nodes:Mixing", every: 1000}
+edges:
+  world -> slow: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", delay: 3000}
+"""
+"""The world waits for nobody."""
+
+BESIDE = """
+nodes:
+  beside: {class: "support.mixing_nodes:Mixing", every: 3}
+edges:
+  world -> beside: {sense: "support.mixing_nodes:told", context: "support.mixing_nodes:told", delay: 40, gather: true}
+"""
+"""What may be attached to it."""
+
+
 def written(folder: Path) -> Path:
     """The hierarchy as a file, in a folder."""
     path = folder / "mixing.yaml"
@@ -41,15 +61,18 @@ def _mixed(*parts: Value) -> int:
 
 
 class MixingWorld(World):
-    """Knows only what it was told, and the time."""
+    """Knows only what it was told, and the time; it may take its time."""
 
-    def __init__(self, last: int | None = None) -> None:
+    def __init__(self, last: int | None = None, takes_s: float = 0.0) -> None:
         self.last = last  # after which epoch it has finished
+        self.takes_s = takes_s
 
     def initial_belief(self) -> Value:
         return (0, 0)
 
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick) -> Value:
+        if self.takes_s:
+            time.sleep(self.takes_s)
         return (tick.epoch, _mixed(context, actions, belief))
 
     def finished(self, belief: Value) -> bool:

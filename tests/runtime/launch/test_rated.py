@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from support.launched import Launched, run_here, said_here, until
-from support.mixing_nodes import written
+from support.mixing_nodes import ALONE, BESIDE, written
 
 NODES = ("world", "quick", "middle", "slow", "side")
 PACED = ("--set", "nodes.world.rate_hz=200", "--set", "restart.restart_delay=0.0")
@@ -113,3 +113,26 @@ def test_parameters_are_set_and_a_node_is_detached(tmp_path: Path, file: str) ->
     first = [said.stdout.split()[-1] for said in done]
     at = ("--at", f"{first[0]}:replace:slow:{snippet}", "--at", f"{first[1]}:detach:side")
     check_as_run(report, file, *epochs, *at)
+
+
+def test_a_world_that_waits_for_nobody_comes_up_and_hears(tmp_path: Path) -> None:
+    file, beside, epochs = tmp_path / "alone.yaml", tmp_path / "beside.yaml", ("--epochs", "600")
+    file.write_text(ALONE)
+    beside.write_text(BESIDE)
+    with Launched(tmp_path, str(file), *epochs) as launch:
+        launch.until_epoch(5)
+        said = said_here("attach", str(beside), folder=tmp_path)
+        assert said.returncode == 0, said.stderr
+        first = said.stdout.split()[-1]
+        assert launch.epoch < 300, "it heard of it before long"
+        report = launch.report()
+    check_as_run(report, str(file), *epochs, "--at", f"{first}:attach:{beside}")
+
+
+def test_nodes_thousands_of_epochs_apart_are_as_in_one_process(tmp_path: Path) -> None:
+    file = tmp_path / "alone.yaml"
+    file.write_text(ALONE)
+    slow = ("--set", "nodes.slow.every=2000", "--set", "nodes.world.parameters.takes_s=0", "--epochs", "4500")
+    gathering = (*slow, "--set", "edges.world -> slow.gather=true")
+    with Launched(tmp_path, str(file), *gathering) as launch:
+        check_as_run(launch.report(), str(file), *gathering)

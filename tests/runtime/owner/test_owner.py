@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -819,6 +820,28 @@ def test_one_in_an_operator_is_the_culprit() -> None:
         Status("high", 1, 1, 0, (), "observe"),
     )
     assert owned.wait(0.1) == [("end", "high.1", "it is in observe in epoch 1, past the deadline")]
+
+
+def test_with_rates_one_that_is_behind_and_gets_on_is_no_culprit_until_it_stops() -> None:
+    owned = begun(settings=replace(SETTINGS, overlaps=True, rated=True))
+    for _ in range(39):
+        owned.commit()
+    blamed: list[tuple[Any, ...]] = []
+    ended_s = 0.0
+    for look in range(1, 200):
+        calls = owned.wait(0.05)
+        inquiry = max((order.inquiry for _, order, *_ in calls if isinstance(order, AskStatus)), default=0)
+        high = min(look // 4, 25)  # it stops after five seconds
+        if inquiry:
+            waiting = Status("world", inquiry, 40, 0, (("low", "ctx"),), "")
+            owned.hear(waiting, Status("low", inquiry, 40, 0, (("high", "ctx"),), ""))
+            owned.hear(Status("high", inquiry, high, 0, (), "observe"))
+        blamed += [call for call in calls if call[0] == "end"]
+        if blamed:
+            ended_s = owned.now
+            break
+    assert blamed == [("end", "high.1", "it is in observe in epoch 40, past the deadline")]
+    assert 5.0 + 1.0 <= ended_s <= 5.0 + 2.5, "an epoch of its own may take a second"
 
 
 def test_what_was_lost_is_sent_again_and_then_the_link_is_blamed() -> None:

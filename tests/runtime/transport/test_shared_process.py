@@ -16,6 +16,7 @@ from hierax.schemas.messages import OBSERVATIONS, Header, Message, decode_messag
 
 WAIT_S = 20.0
 LARGE = LARGE_ARRAY_BYTES // 8
+MANY = shared_process.ROOM + 100
 
 
 def message(*payload: Any) -> Message:
@@ -73,7 +74,7 @@ def test_who_waits_is_woken_by_a_message_and_by_an_interruption() -> None:
     box, found = inbox(), []
     waiting = threading.Thread(target=lambda: found.extend([box.take(True), box.take(True)]))
     waiting.start()
-    box.put(handed := hand_over("key", message("one")))
+    box.put(handed := hand_over("key", message("one")), inbox())
     box.interrupt()
     waiting.join(WAIT_S)
     assert found == [handed, None]
@@ -82,7 +83,7 @@ def test_who_waits_is_woken_by_a_message_and_by_an_interruption() -> None:
 def test_who_does_not_wait_finds_messages_behind_interruptions() -> None:
     box = inbox()
     box.interrupt()
-    box.put(hand_over("key", message("one")))
+    box.put(hand_over("key", message("one")), inbox())
     assert isinstance(box.take(False), Handed)
     assert box.take(False) is None
 
@@ -90,19 +91,36 @@ def test_who_does_not_wait_finds_messages_behind_interruptions() -> None:
 def test_who_sends_to_a_full_queue_waits_until_there_is_room_or_the_node_is_gone() -> None:
     box = inbox()
     for _ in range(shared_process.ROOM):
-        box.put(Handed("key", b"", []))
-    sending = threading.Thread(target=box.put, args=[Handed("last", b"", [])])
+        box.put(Handed("key", b"", []), inbox())
+    sending = threading.Thread(target=box.put, args=[Handed("last", b"", []), inbox()])
     sending.start()
     sending.join(0.05)
     assert sending.is_alive()
     box.take(False)
     sending.join(WAIT_S)
     assert not sending.is_alive()
-    other = threading.Thread(target=box.put, args=[Handed("never", b"", [])])
+    other = threading.Thread(target=box.put, args=[Handed("never", b"", []), inbox()])
     other.start()
     box.close()
     other.join(WAIT_S)
     assert not other.is_alive()
+
+
+def test_two_that_send_to_one_another_s_full_queues_go_on() -> None:
+    boxes, came = (inbox(), inbox()), ([], [])
+
+    def send_then_take(number: int) -> None:
+        own, other = boxes[number], boxes[1 - number]
+        for each in range(MANY):
+            other.put(Handed(str(each), b"", []), own)
+        came[number].extend(own.take(True) for _ in range(MANY))
+
+    threads = [threading.Thread(target=send_then_take, args=[number], daemon=True) for number in (0, 1)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(WAIT_S)
+    assert [[each.key for each in taken] for taken in came] == [[str(each) for each in range(MANY)]] * 2
 
 
 class Came:
