@@ -215,6 +215,23 @@ class Rates:
         delay = self.delays.get((lower, upper), 0)
         return EdgeRates(turns.every, turns.offset, delay, *(() if began is None else began[:2]))
 
+    def epochs_for(self, name: str) -> int:
+        """How many epochs a node has for a turn, until it is waited for or its next turn is due; at least one."""
+        delays = [self.delays.get(pair, 0) for pair in self.pairs if pair[1] == name]
+        return max(min(self.turns_of(name).every, *delays) if delays else 1, 1)
+
+    def awaited(self, epoch: int) -> frozenset[str]:
+        """The nodes before whose turns in it an epoch that is not drained cannot end: edges without delay lead from
+        them down to the world, by nodes that all take part in it. Where edges are not known, nobody is found."""
+        uppers: dict[str, list[str]] = {}
+        for lower, upper in self.pairs:
+            uppers.setdefault(lower, []).append(upper)
+        found = list(uppers.keys() - {upper for _, upper in self.pairs})
+        for lower in found:
+            above = [upper for upper in uppers.get(lower, ()) if (lower, upper) not in self.delays]
+            found += [upper for upper in above if upper not in found and self.takes_part(upper, epoch)]
+        return frozenset(found)
+
     @property
     def latest(self) -> int:
         """Since when all of them hold."""

@@ -1,9 +1,10 @@
 """``hierax graph`` and ``hierax validate``: what a deployment file says, and whether it can be run."""
 
 import sys
+from collections.abc import Iterable
 from contextlib import redirect_stdout
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from hierax.runtime.commands.options import File, Format, OutputFormat, Overrides, option
 from hierax.runtime.commands.show import RIGHT, print_json, print_table
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from hierax.schemas.roster import Reference, Roster
 
 _FUNCTIONS = ("sense", "task", "context")
+_OF_NODES, _OF_EDGES = ("every", "offset"), ("delay", "gather")  # what there is of rates, where it is not the default
 
 
 class GraphFormat(str, Enum):
@@ -58,15 +60,24 @@ def graph_json(deployment: "Deployment") -> "Json":
                 "below": list(roster.below(name)),
                 "above": list(roster.above(name)),
                 "depth": depth,
+                **_turns(roster, name),
             }
             for name, depth in depths(roster.nodes, roster.pairs).items()
         },
         "edges": [
             {"lower": edge.lower, "upper": edge.upper}
             | {kind: getattr(getattr(edge, kind), "target", None) for kind in _FUNCTIONS}
+            | {key: value for key in _OF_EDGES if (value := getattr(edge, key))}
             for edge in roster.edges
         ],
     }
+
+
+def _turns(roster: "Roster", name: str) -> dict[str, int]:
+    from hierax.schemas.rates import EVERY_EPOCH
+
+    turns = roster.turns.get(name, EVERY_EPOCH)
+    return {key: value for key in _OF_NODES if (value := getattr(turns, key)) != getattr(EVERY_EPOCH, key)}
 
 
 def mermaid(roster: "Roster") -> str:
@@ -77,31 +88,43 @@ def mermaid(roster: "Roster") -> str:
     ids = {name: f"n{index}" for index, name in enumerate(order)}
     lines = ["flowchart BT"]
     for name, number in ids.items():
-        lines.append(f'    {number}[("{name}")]' if name == roster.world else f'    {number}["{name}"]')
+        turns = "".join(f"<br>{key} {value}" for key, value in _turns(roster, name).items())
+        lines.append(f'    {number}[("{name}")]' if name == roster.world else f'    {number}["{name}{turns}"]')
     for edge in roster.edges:
         lower, upper = ids[edge.lower], ids[edge.upper]
-        label = f"|{_name(edge.sense)}| " if edge.sense else ""
+        gathers, delay = ", gather" if edge.gather else "", f", delay {edge.delay}" if edge.delay else ""
+        label = f"|{_name(edge.sense)}{gathers}| " if edge.sense else ""
         lines.append(f"    {lower} -->{label or ' '}{upper}")
         for kind, reference in (("task", edge.task), ("context", edge.context)):
             if reference is not None:
-                lines.append(f"    {upper} -.->|{kind}: {_name(reference)}| {lower}")
+                lines.append(f"    {upper} -.->|{kind}: {_name(reference)}{delay}| {lower}")
     return "\n".join(lines)
 
 
 def _print_tables(deployment: "Deployment") -> None:
     content = graph_json(deployment)
     print(f"{deployment.name}: {deployment.description}".rstrip(": "), end="\n\n")
-    nodes = [
-        (name, node["class"], ", ".join(node["below"]), ", ".join(node["above"]), str(node["depth"]))
-        for name, node in content["nodes"].items()
-    ]
-    print_table({"node": {}, "class": {}, "below": {}, "above": {}, "depth": RIGHT}, nodes)
-    edges = [
-        (f"{edge['lower']} -> {edge['upper']}", *(edge[kind] or "" for kind in _FUNCTIONS)) for edge in content["edges"]
-    ]
+    nodes, edges = content["nodes"].values(), content["edges"]
+    of_nodes, of_edges = _said(_OF_NODES, nodes), _said(_OF_EDGES, edges)
+    rows = []
+    for name, node in content["nodes"].items():
+        below, above = (", ".join(node[side]) for side in ("below", "above"))
+        rows.append((name, node["class"], below, above, str(node["depth"]), *_cells(of_nodes, node)))
+    print_table({"node": {}, "class": {}, "below": {}, "above": {}, "depth": RIGHT, **of_nodes}, rows)
     if edges:
+        rows = [(f"{edge['lower']} -> {edge['upper']}", *_cells((*_FUNCTIONS, *of_edges), edge)) for edge in edges]
         print()
-        print_table({"edge": {}, **{kind: {} for kind in _FUNCTIONS}}, edges)
+        print_table({"edge": {}, **{kind: {} for kind in _FUNCTIONS}, **of_edges}, rows)
+
+
+def _said(keys: Iterable[str], content: Iterable[Any]) -> dict[str, dict[str, Any]]:
+    """The columns of those keys of which something is said somewhere."""
+    return {key: RIGHT for key in keys if any(key in each for each in content)}
+
+
+def _cells(keys: Iterable[str], content: "Json") -> tuple[str, ...]:
+    values = [content.get(key) for key in keys]
+    return tuple("yes" if value is True else str(value or "") for value in values)
 
 
 def _name(reference: "Reference") -> str:

@@ -211,7 +211,7 @@ class ProcessTerms:
     # stopped; ``detach``: it is detached, and what only it joins to the world; ``stop``: the run is stopped.
     on_loss: Literal["restart", "detach", "stop"] = "restart"
     rate_hz: float | None = None  # how often at most it takes part in an epoch; None: as it can
-    budget_ms: float | None = None  # how long it may be at work in an epoch; None: the world's period, if it has one
+    budget_ms: float | None = None  # how long it may be at work in an epoch; None: by its rates and the world's period
     scheduling: Mapping[str, Value] | None = None  # how the system is asked to run its thread
 
     @property

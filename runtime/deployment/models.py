@@ -189,7 +189,8 @@ class NodeModel(RestartModel):
         None,
     )
     budget_ms: Positive | None = _field(
-        "how long it may be at work in an epoch: more is counted and told, nothing else; by default the world's period",
+        "how long it may be at work in an epoch: more is counted and told, nothing else; by default the world's period "
+        "times the least of 'every' and its delays",
         None,
     )
     every: int = _field("it takes part in one of so many epochs", 1, ge=1, le=MAX_EPOCHS_APART)

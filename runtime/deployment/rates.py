@@ -16,7 +16,8 @@ def turns_of(nodes: Mapping[str, NodeModel], document: Document) -> dict[str, Tu
     """In which epochs nodes take part, of those that say so. Raises `DeploymentError` if there is no such epoch."""
     for name, node in nodes.items():
         if node.offset >= node.every:
-            what = f"expected less than every, {node.every}, got {node.offset}"
+            unsaid = "" if "every" in node.model_fields_set else ", as it is not given here"
+            what = f"expected less than every, {node.every}{unsaid}, got {node.offset}"
             raise document.error(("nodes", name, "offset"), what)
     said = {name: node for name, node in nodes.items() if node.model_fields_set.intersection(_OF_NODES)}
     return {name: Turns(node.every, node.offset) for name, node in said.items()}
@@ -37,7 +38,11 @@ def rates_of(model: DeploymentModel, document: Document) -> tuple[dict[str, Turn
         what = f"the world takes part in every epoch; expected 1, got {every}"
         raise document.error(("nodes", model.world, "every"), what)
     check_gathers(model.edges, document)
-    said = rated_keys(model) + ([("rates",)] if model.rates else [])
+    said = rated_keys(model)
+    if said and "rates" in model.model_fields_set and not model.rates:
+        what = f"expected true, or nothing, as there are rates: {'.'.join(map(str, said[0]))}"
+        raise document.error(("rates",), what)
+    said += [("rates",)] if model.rates else []
     if said and model.staleness != 0:
         raise document.error(said[0], "goes with a staleness of 0 only")
     if said and model.low_latency:

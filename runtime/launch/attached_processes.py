@@ -238,6 +238,8 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         staleness=_field(order, "staleness", int, type(None)),
         rate_hz=_field(order, "rate_hz", float, int, type(None)),
         budget_ms=_field(order, "budget_ms", float, int, type(None)),
+        period_ms=_field(order, "period_ms", float, int, type(None)),
+        rated=_field(order, "rated", bool),
         hub=here.endpoint,
         host=here.host,
         settings=here.settings,

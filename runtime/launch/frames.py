@@ -96,7 +96,9 @@ class NodeOrder:
     staleness: int | None  # how old inputs from above may be, in epochs; None: free running
     rate_hz: float | None = None  # in free running, how often at most the node takes part in an epoch; None: as it can
     late: Late = "catch_up"  # of the world's, which has a rate with the barrier, too
-    budget_ms: float | None = None  # how long the node may be at work in an epoch; None: that is not looked at
+    budget_ms: float | None = None  # how long the node may be at work in an epoch; None: by its rates and the period
+    period_ms: float | None = None  # from an epoch to the next; None: there is no rate
+    rated: bool = False  # whether nodes may take part in some epochs only
     scheduling: Mapping[str, Value] | None = None  # how the system is asked to run the node's thread
     hub: str  # endpoint of the supervisor, through which the processes find one another
     host: str  # address of the process's machine at which others may link; empty: this machine's processes only

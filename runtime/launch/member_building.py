@@ -8,6 +8,7 @@ from mmap import mmap
 from pathlib import Path
 
 from hierax.runtime.core.digest import DigestChain
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log
 from hierax.runtime.execution.pace import Pace
@@ -20,6 +21,7 @@ from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.watch.budget import BUDGET_BYTES, Budget
+from hierax.runtime.watch.overruns import OVERRUNS_BYTES, Overruns
 
 _log = logging.getLogger("hierax")
 
@@ -60,13 +62,26 @@ def open_times(order: NodeOrder) -> Times:
     return Times(_memory(order, Path(f"{order.checkpoint}.times"), TIMES_BYTES), int(order.run, 16))
 
 
-def open_budget(order: NodeOrder) -> Budget | None:
+def open_budget(order: NodeOrder, engine: Callable[[], Engine | None]) -> Budget | None:
     """The node's, whose counts go on with whatever process or class comes in its place; None: it has none. Raises
     `HieraxError` if the file cannot be opened."""
-    if order.budget_ms is None:
+    if order.budget_ms is None and order.period_ms is None:
         return None
-    path = Path(order.checkpoint).parent / f"{order.name}.budget"
-    return Budget(order.budget_ms, _memory(order, path, BUDGET_BYTES))
+    memory = _memory(order, _beside(order, "budget"), BUDGET_BYTES)
+    return Budget(order.budget_ms, order.period_ms, engine, memory)
+
+
+def open_overruns(order: NodeOrder, engine: Callable[[], Engine | None]) -> Overruns | None:
+    """Likewise of the node's waiting for those above it; None: nobody has rates."""
+    if not order.rated:
+        return None
+    memory = _memory(order, _beside(order, "overruns"), OVERRUNS_BYTES)
+    return Overruns(engine, order.life != BEGIN, order.period_ms, memory)
+
+
+def _beside(order: NodeOrder, what: str) -> Path:
+    """A file beside the checkpoints that is the node's whichever process or class it has."""
+    return Path(order.checkpoint).parent / f"{order.name}.{what}"
 
 
 def _memory(order: NodeOrder, path: Path, size: int) -> mmap:

@@ -17,7 +17,6 @@ from numpy.typing import DTypeLike, NDArray
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.core.staleness import Staleness
-from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.member import Member, Seat
@@ -28,7 +27,14 @@ from hierax.runtime.host.scheduling import ask_scheduler
 from hierax.runtime.launch import frames
 from hierax.runtime.launch.inspection_server import InspectionServer
 from hierax.runtime.launch.kept_elsewhere import KeptElsewhere, ToldRecords
-from hierax.runtime.launch.member_building import open_budget, open_observers, open_slots, pacemaker_of, preload
+from hierax.runtime.launch.member_building import (
+    open_budget,
+    open_observers,
+    open_overruns,
+    open_slots,
+    pacemaker_of,
+    preload,
+)
 from hierax.runtime.launch.node_loop import ControlQueue, NodeLoop, WorldWatch
 from hierax.runtime.launch.process_home import ProcessHome
 from hierax.runtime.loading.loader import LoadError, extend_import_path
@@ -45,6 +51,7 @@ from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES, allows_sha
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget
 from hierax.runtime.watch.logs import NODE, QUIET
+from hierax.runtime.watch.overruns import Overruns
 from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -84,6 +91,7 @@ class NodeWorker:
         self._publisher: StepPublisher
         self._witness: Witness | None = None
         self._budget: Budget | None = None
+        self._overruns: Overruns | None = None
         self._recorded = False
         self._thread = 0
         self._opens_s = inf  # since when the session opens; infinite: it does not
@@ -266,9 +274,10 @@ class NodeWorker:
         observers, slots = open_observers(order, self._pipe), open_slots(order, self._kept)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(observers, True)
-        self._budget = open_budget(order)
-        if self._budget is not None:
-            observers.watch(self._budget)
+        self._budget = open_budget(order, lambda: observers.engine)
+        self._overruns = open_overruns(order, lambda: observers.engine)
+        for counts in filter(None, (self._budget, self._overruns)):
+            observers.watch(counts)
         if telemetry.wanted():
             observers.watch(telemetry.open_spans(order.deployment, order.run, order.name))
         seen = (order.name, order.process, observers, self._roster)
@@ -328,8 +337,7 @@ class NodeWorker:
     def _timing(self) -> dict[str, Value]:
         """What the node and the world are held to, and how often they do not keep it."""
         pace = None if self._world is None else self._world.pacemaker.pace
-        engine = None if self._member is None else self._member.engine
-        overruns = dict(engine.overruns) if isinstance(engine, RatedEngine) else {}
+        overruns = {} if self._overruns is None else self._overruns.told()
         return {
             **({"overruns": overruns} if overruns else {}),
             **({} if self._budget is None else {"budget": self._budget.told()}),

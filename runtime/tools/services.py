@@ -13,6 +13,7 @@ from hierax.runtime.deployment.deployment import read_text, shipped
 from hierax.runtime.deployment.secrets import public_settings, secret_values
 from hierax.runtime.host.scheduling import REAL_TIME
 from hierax.runtime.host.zenoh_settings import names_file
+from hierax.schemas.rates import EVERY_EPOCH
 
 IMAGE = "hierax"
 USER = 10001  # who a container runs as; deploy/Containerfile has the same
@@ -87,11 +88,11 @@ class Service:
     @property
     def cores(self) -> float | None:
         """How many cores its nodes may take by their budgets and rates; None: no budget is known."""
-        terms = self.deployment.terms
+        terms, turns = self.deployment.terms, self.deployment.roster.turns
         world_hz = terms[self.deployment.roster.world].rate_hz
         shares = [
-            each.budget_ms / 1e3 * rate_hz
-            for each in terms.values()
+            each.budget_ms / 1e3 * rate_hz / turns.get(name, EVERY_EPOCH).every
+            for name, each in terms.items()
             if each.budget_ms is not None and (rate_hz := each.rate_hz or world_hz) is not None
         ]
         return sum(shares) if shares else None

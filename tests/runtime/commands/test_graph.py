@@ -54,6 +54,31 @@ def test_as_mermaid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ]
 
 
+RATES = ["--set", "nodes.left.every=4", "--set", "nodes.left.offset=3", "--set", "nodes.top.most.every=2"]
+RATES += ["--set", "edges.left -> top.most.delay=5", "--set", "edges.world -> left.gather=true"]
+
+
+def test_rates_are_shown_where_there_are_some(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def shown(kind: str) -> str:
+        assert main(["graph", str(write(tmp_path)), "--format", kind, *RATES]) == 0
+        return capsys.readouterr().out
+
+    lines = [line.split() for line in shown("text").splitlines()]
+    assert ["left", "support.toy_nodes:Summer", "world", "top.most", "1", "4", "3"] in lines
+    assert ["world", "->", "left", "support.toy_nodes:seen", "yes"] in lines
+    assert ["left", "->", "top.most", "support.toy_nodes:seen", "support.toy_nodes:Scale", "5"] in lines
+    graph = json.loads(shown("json"))
+    assert [graph["nodes"]["left"][key] for key in ("every", "offset")] == [4, 3]
+    assert graph["nodes"]["top.most"]["every"] == 2
+    assert "every" not in graph["nodes"]["world"]
+    rates = {f"{edge['lower']} -> {edge['upper']}": (edge.get("delay"), edge.get("gather")) for edge in graph["edges"]}
+    assert rates == {"left -> top.most": (5, None), "world -> left": (None, True), "world -> top.most": (None, None)}
+    drawn = shown("mermaid").splitlines()
+    assert '    n1["left<br>every 4<br>offset 3"]' in drawn
+    assert "    n2 -.->|context: Scale, delay 5| n1" in drawn
+    assert "    n0 -->|seen, gather| n1" in drawn
+
+
 def test_an_edge_without_sensing_is_drawn_all_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = TOYS.replace("  world -> left:\n    sense: support.toy_nodes:seen\n", "  world -> left: {}\n")
     assert main(["graph", str(write(tmp_path, text)), "--format", "mermaid"]) == 0

@@ -31,7 +31,13 @@ def test_rates_are_by_node_and_edge() -> None:
     [
         (["nodes.motion.every=0"], "expected at least 1, got"),
         (["nodes.motion.every=2.5"], "expected a whole number"),
-        (["nodes.motion.offset=1"], "nodes.motion.offset: expected less than every, 1, got 1"),
+        (["nodes.motion.offset=1"], "nodes.motion.offset: expected less than every, 1, as it is not given here, got 1"),
+        (["nodes.motion.every=3", "nodes.motion.offset=3"], "nodes.motion.offset: expected less than every, 3, got 3"),
+        (
+            ["nodes.motion.every=3", "rates=false"],
+            "rates: expected true, or nothing, as there are rates: nodes.motion.e",
+        ),
+        ([f"{EDGE}.delay=3", "rates=false"], f"rates: expected true, or nothing, as there are rates: {EDGE}.delay"),
         (["nodes.world.every=2"], "nodes.world.every: the world takes part in every epoch; expected 1, got 2"),
         ([f"{EDGE}.delay=-1"], "expected at least 0, got"),
         (["edges.world -> camera.gather=yes please"], "expected true or false"),

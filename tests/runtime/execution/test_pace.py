@@ -93,6 +93,23 @@ def test_late_epochs_are_put_down_to_those_that_took_too_long() -> None:
     assert culprits(late, over) == {"slow": 3, "quick": 1, "other": 1}
 
 
+def test_who_took_longer_than_a_delay_is_named_where_it_was_waited_for() -> None:
+    epochs = Epochs()
+    for took_s in (0.02, 0.02, 0.15, *[0.02] * 5):
+        epochs.does(took_s)
+    budget = {"budget_ms": 500.0, "over": 2, "max_ms": 700.0, "epochs": []}
+    overruns = {"slow": {"count": 2, "epochs": [3]}}
+    told = {"world": {"pace": epochs.pace.told(), "overruns": overruns}, "slow": {"budget": budget}}
+    timing = timing_of(told)
+    assert timing["rate"]["after"] == {"slow": 1}
+    assert timing["overruns"] == {"slow": {"world": 2}}
+    assert lines_of(timing) == [
+        "every 100 ms: 1 epoch begun late (after slow 1); lateness p50 0.00 ms, p99 46.50 ms, max 50.00 ms",
+        "slow: a budget of 500 ms; 2 epochs took longer, the longest 700.0 ms",
+        "slow: longer than its delays; epochs in which it was waited for: world 2",
+    ]
+
+
 def test_what_is_told_of_a_launch() -> None:
     epochs = Epochs()
     for took_s in (0.02, 0.35, 0.02, 0.02, 0.02, 0.02):
@@ -103,7 +120,7 @@ def test_what_is_told_of_a_launch() -> None:
     assert timing["rate"]["after"] == {"slow": 4}
     assert lines_of(timing) == [
         "every 100 ms: 4 epochs begun late (after slow 4); lateness p50 50.00 ms, p99 246.00 ms, max 250.00 ms",
-        "slow: a budget of 100 ms; 1 epochs took longer, the longest 340.0 ms",
+        "slow: a budget of 100 ms; 1 epoch took longer, the longest 340.0 ms",
     ]
     assert timing_of({"free": {}}) is None
     assert lines_of(None) == []

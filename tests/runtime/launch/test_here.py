@@ -34,6 +34,8 @@ ORDER: dict[str, Any] = {
     "epochs": None,
     "staleness": 0,
     "rate_hz": None,
+    "period_ms": 10.0,
+    "rated": True,
     "hub": "tcp/203.0.113.9:1",
     "host": "0.0.0.0",
     "settings": {"plugins_loading": {"enabled": True}},
@@ -58,6 +60,7 @@ def test_what_touches_this_machine_is_decided_here(tmp_path: Path) -> None:
     assert (order.hub, order.host, order.settings) == ("tcp/10.0.0.1:7000", "10.0.0.2", None)
     assert order.checkpoint == str(tmp_path / "top")
     assert (order.output, order.probes, order.owner, order.proposals) == ("", (), None, ())
+    assert (order.budget_ms, order.period_ms, order.rated) == (None, 10.0, True)
     assert (order.process, order.run, order.seed, order.request, order.life) == ("5f", "5163af85", 3, "c4", "newcomer")
 
 
@@ -79,6 +82,7 @@ def test_who_trusts_a_launch_has_what_it_allows(tmp_path: Path) -> None:
         ([{**ORDER, "process": "a/b"}], "top: the launch's order says process: "),
         ([{**ORDER, "deployment": 3}], "top: the launch's order says deployment: "),
         ([{**ORDER, "seed": "3"}], "top: the launch's order says seed: .*; expected int"),
+        ([{**ORDER, "rated": None}], "top: the launch's order says rated: .*; expected bool"),
         ([{**ORDER, "low_latency": None}], "top: the launch's order says low_latency: .*; expected bool"),
     ],
 )

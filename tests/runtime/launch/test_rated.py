@@ -79,6 +79,23 @@ def test_who_takes_longer_than_its_delay_is_waited_for_and_named(tmp_path: Path,
     with Launched(tmp_path, file, *late, *PACED) as launch:
         report = launch.report()
     assert sum(report["timing"]["overruns"]["slow"].values()) >= 1
+    budgets = {name: each["budget_ms"] for name, each in report["timing"]["budgets"].items()}
+    assert budgets == {"world": 5.0, "quick": 5.0, "middle": 5.0, "slow": 25.0, "side": 5.0}, "its delays are 20 and 5"
+    check_as_run(report, file, *late)
+
+
+def test_what_a_process_that_was_killed_has_waited_for_is_told(tmp_path: Path, file: str) -> None:
+    def count() -> int:
+        told = said_here("top", "--once", "--interval", "0.1", "--format", "json", folder=tmp_path)
+        timing = json.loads(told.stdout).get("timing") if told.returncode == 0 else None
+        return int((timing or {}).get("overruns", {}).get("slow", {}).get("middle", 0))
+
+    late = ("--set", "nodes.slow.parameters.takes_s=0.6", "--epochs", "200")  # it has ten turns in them
+    with Launched(tmp_path, file, *late, *PACED) as launch:
+        until(lambda: count() >= 6, "six overruns")
+        launch.kill("middle")
+        report = launch.report()
+    assert report["timing"]["overruns"]["slow"]["middle"] >= 6, "after the kill there are fewer"
     check_as_run(report, file, *late)
 
 

@@ -110,6 +110,11 @@ def test_budgets_ask_for_cores(tmp_path: Path) -> None:
     assert "resources" not in job_of(Service(read_deployment("servo")))["containers"][0]
 
 
+def test_who_takes_part_in_few_epochs_asks_for_its_share(tmp_path: Path) -> None:
+    robot = own(tmp_path, "null", "nodes.camera.every=5", "nodes.motion.every=60", "nodes.motion.budget_ms=300")
+    assert robot.cores == pytest.approx(20 * (0.010 + 0.020 / 5 + 0.300 / 60))
+
+
 def test_a_real_time_priority_is_allowed(tmp_path: Path) -> None:
     assert "LimitRTPRIO=40" in units(own(tmp_path))[0].text
     assert container_of(own(tmp_path))["ulimits"] == {"rtprio": 40}
