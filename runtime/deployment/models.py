@@ -239,7 +239,9 @@ class HostModel(_Model):
     )
     python: str = _field("the command there that has hierax, such as ~/venv/bin/python", "python3", min_length=1)
     folder: str | None = _field(
-        "there, where the deployment's own modules are, and processes run; null: the user's home", None
+        "there, where the deployment's own modules are, and processes run; null: the user's home, or with --sync the "
+        "path here",
+        None,
     )
     address: str | None = _field("at which the other hosts reach it; null: that at which ssh has reached it", None)
     labels: dict[str, str | bool | int | float] = _field("by which nodes are placed on it", {})
