@@ -179,7 +179,7 @@ class Orders:
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""
         own = replace(order, output="", checkpoint="", import_paths=(), settings=None, probes=())
-        own = replace(own, host=host, elsewhere=True, lifetime_s=None)  # nothing that is new would come there
+        own = replace(own, host=host, elsewhere=True)
         return replace(own, secret="") if own.access is None else own.admitted()  # who keeps it has the secret
 
     def recorder_secret(self) -> str:
