@@ -329,8 +329,8 @@ class DeploymentModel(_Model):
         "whether what passes between machines (`--host`) may be read on the way; by default it is encrypted", False
     )
     certificates_s: Annotated[float, Field(ge=5, allow_inf_nan=False)] | None = _field(
-        "how many seconds certificates of nodes' processes hold, each of which gets a new one when a third of that is "
-        "over; null: as long as the run",
+        "how many seconds certificates of nodes' and recorders' processes hold, each of which gets a new one when a "
+        "third of that is over; null: as long as the run",
         None,
     )
     processes: Processes = _field(

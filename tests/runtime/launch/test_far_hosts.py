@@ -196,7 +196,7 @@ def test_certificates_are_renewed_on_all_hosts(far: FarHosts, launch: Launch) ->
     until(lambda: sorted(renewed(live).values()) >= [4] * 3, "new certificates", 400.0)
     live.goes_on()
     is_repeated(live)
-    late = "hierax: refused somebody: it has no certificate of this run"  # a link's last try with the one before
+    late = "hierax: refused somebody: its certificate has ended"  # a link's last try with the one before
     assert [line for line in said_otherwise(live) if not line.startswith(late)] == []
 
 
