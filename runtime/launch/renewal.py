@@ -43,7 +43,8 @@ async def renew_again_and_again(due: Callable[[], Iterable[Shown]], lifetime_s: 
         due_s = max(due_s + lifetime_s / PARTS, anyio.current_time())
         await anyio.sleep_until(due_s)
         for each in due():
-            await renew(each, each.renewed_secret(), notify)
+            if each.is_up:  # it may have ended while others had their turn
+                await renew(each, each.renewed_secret(), notify)
 
 
 async def renew(shown: Shown, secret: str, notify: Notify) -> None:
