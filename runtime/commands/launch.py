@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hierax.runtime.launch.fork_server import ForkServer
 
 
-@offers(*OF_A_RUN, "state", "resume", "host", "processes", "traffic", "trust")
+@offers(*OF_A_RUN, "state", "resume", "host", "sync", "processes", "traffic", "trust")
 def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     """Run a deployment with each node in a process of its own, or in those that it shares, over Zenoh."""
     from hierax.runtime.launch.fork_server import ForkServer
@@ -65,8 +65,7 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
         recording = RecordingRequest(target, options.check, selection) if target or options.check else None
         runner = functools.partial(
             _placed,
-            options.processes,
-            options.traffic,
+            options,
             notify=notify,
             state=None if state is None else state.absolute(),
             resumed=run,
@@ -87,17 +86,22 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
     return max(code, report_outcome(recording.file, recording.ending, recording.violations))
 
 
-def _placed(processes: int | None, traffic: Path | None, deployment: "Deployment", **given: Any) -> "Report":
-    """Launch a deployment, in so many processes where that is said."""
+def _placed(options: RunOptions, deployment: "Deployment", **given: Any) -> "Report":
+    """Launch a deployment, in so many processes and with its folder on all hosts where that is said."""
     from hierax.runtime.deployment.hosts import check_together
     from hierax.runtime.deployment.partition import cut
     from hierax.runtime.launch import supervisor
+    from hierax.runtime.launch.folder_copy import copied
 
+    processes, traffic = options.processes, options.traffic
     if processes is not None:
         passed = None if traffic is None else _traffic(traffic, deployment)
         deployment = replace(deployment, processes=cut(deployment.roster, processes, passed))
         if apart := check_together(deployment.processes, deployment.placed):
             raise CommandError(f"--processes: {apart}; name them under `processes` of the file")
+    if options.sync:
+        own = (options.state, options.output, options.record)
+        deployment = copied(deployment, [path for path in own if path is not None], notify)
     return supervisor.launch(deployment, **given)
 
 

@@ -71,6 +71,7 @@ _WORDS = """
 --since TIME: From then on: how long ago, such as 30s, 10m, 2h, 1d, or a time such as 2030-01-02T03:04.
 --speed S: S times as fast as it was; 0: as fast as it goes.
 --state DIR: A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.
+--sync: First copy the folder of the file to the hosts that `place` needs, by rsync over ssh; nothing is deleted there.
 --to K: The last epoch; by default the last one.
 --tolerance T: Numbers are alike that differ by no more than T, or than this share of the greater one. 0: to the bit.
 --trace: Print all events of a single seed.
@@ -171,6 +172,7 @@ class RunOptions:
     state: Annotated[Path | None, option("--state")] = None
     resume: Annotated[Path | None, option("--resume")] = None
     host: Annotated[str | None, option("--host")] = None
+    sync: Annotated[bool, option("--sync")] = False
     processes: Annotated[int | None, option("--processes", min=1, max=LARGEST)] = None
     traffic: Annotated[Path | None, option("--traffic", dir_okay=False)] = None
     run: Run = None

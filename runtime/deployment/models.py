@@ -240,7 +240,9 @@ class HostModel(_Model):
     )
     python: str = _field("the command there that has hierax, such as ~/venv/bin/python", "python3", min_length=1)
     folder: str | None = _field(
-        "there, where the deployment's own modules are, and processes run; null: the user's home", None
+        "there, where the deployment's own modules are, and processes run; null: the user's home, or with --sync the "
+        "path here",
+        None,
     )
     address: str | None = _field("at which the other hosts reach it; null: that at which ssh has reached it", None)
     labels: dict[str, str | bool | int | float] = _field("by which nodes are placed on it", {})
@@ -328,8 +330,8 @@ class DeploymentModel(_Model):
         "whether what passes between machines (`--host`) may be read on the way; by default it is encrypted", False
     )
     certificates_s: Annotated[float, Field(ge=5, allow_inf_nan=False)] | None = _field(
-        "how many seconds certificates of nodes' processes hold, each of which gets a new one when a third of that is "
-        "over; null: as long as the run",
+        "how many seconds certificates of nodes' and recorders' processes hold, each of which gets a new one when a "
+        "third of that is over; null: as long as the run",
         None,
     )
     processes: Processes = _field(

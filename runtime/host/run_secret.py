@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import datetime
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from secrets import token_hex
 
@@ -71,6 +71,11 @@ def issued(secret: str, role: str, addresses: Sequence[str] = (), until: datetim
     from hierax.runtime.host.run_certificates import certificates
 
     return f"{token_of(secret)}\n{certificates(certificates_of(secret), role, addresses, until)}"
+
+
+def end_of(lifetime_s: float | None) -> datetime | None:
+    """When a certificate ends that is made now and holds for so long; None: for ever."""
+    return None if lifetime_s is None else datetime.now(timezone.utc) + timedelta(seconds=lifetime_s)
 
 
 def whose(secret: str) -> tuple[str, datetime] | None:

@@ -8,6 +8,8 @@ import signal
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from hierax.runtime.launch.child import Child, Overhearing, ProcessState, start_
 from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, NodeOrder, new_process
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
+from hierax.runtime.launch.renewal import PARTS, renew
 from hierax.runtime.loading.allowance import Allowance, module_of
 from hierax.runtime.transport.launch_client import LaunchClient, is_gone
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
@@ -30,6 +33,9 @@ from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys, check_name, check_process
 from hierax.schemas.roster import Reference
 from hierax.schemas.values import Value
+
+SHORTEST_S = 3.0  # how long certificates hold at least, by what is believed here of what the launch says
+AGAIN = 4  # how often it is asked for one in the time after which another one is due
 
 LOOK_S = 2.0  # how often it is looked whether the launch is still there
 SETTLE_S = 0.5  # after what time the launch has heard of a dismissal; and how long it may take to answer
@@ -53,13 +59,17 @@ def run_attached(
             read = read_orders(orders, request, here, Path(folder))
             # of this machine's scheduler is asked what its user says, not what a launch does
             read = [replace(order, scheduling=terms[order.name].scheduling) for order in read]
-            return anyio.run(_run, read, terms, await_change, notify)
+            return anyio.run(_run, read, terms, partial(new_secret, here=here), await_change, notify)
     finally:
         remove_orphaned_segments()
 
 
 async def _run(
-    orders: Sequence[NodeOrder], terms: Mapping[str, ProcessTerms], await_change: Callable[[], None], notify: Notify
+    orders: Sequence[NodeOrder],
+    terms: Mapping[str, ProcessTerms],
+    renewed: Callable[[NodeOrder], str],
+    await_change: Callable[[], None],
+    notify: Notify,
 ) -> int:
     why: list[Exception] = []
     async with anyio.create_task_group() as tasks:
@@ -68,7 +78,7 @@ async def _run(
             why.append(error)
             tasks.cancel_scope.cancel()
 
-        attached = AttachedProcesses(tasks, orders, terms, notify, fail)
+        attached = AttachedProcesses(tasks, orders, terms, renewed, notify, fail)
         tasks.start_soon(_end_on_signal, tasks.cancel_scope)
         tasks.start_soon(_await, await_change, fail)
         try:
@@ -92,6 +102,7 @@ class AttachedProcesses(ProcessSupervisor):
         tasks: anyio.abc.TaskGroup,  # in which everything runs
         orders: Sequence[NodeOrder],  # what they are started with
         terms: Mapping[str, ProcessTerms],  # by node, what is done when its process ends
+        renewed: Callable[[NodeOrder], str],  # asks the launch for a new certificate of a node; takes a while
         notify: Notify,  # tells people what happens
         fail: Fail,  # called with why they cannot go on
     ) -> None:
@@ -99,6 +110,7 @@ class AttachedProcesses(ProcessSupervisor):
         super().__init__(tasks, overhearing, terms.__getitem__, notify, fail)
         self._forks = ForkServer().start()
         self._orders = orders
+        self._renewed = renewed
         self._attached = len(orders)
         self._leaving = 0
         self._all_dismissed = anyio.Event()
@@ -108,6 +120,8 @@ class AttachedProcesses(ProcessSupervisor):
         self.tasks.start_soon(self._watch_hub, self._orders[0].hub)
         for order in self._orders:
             await self.start(order)
+        if self._orders[0].lifetime_s is not None:
+            self.tasks.start_soon(self._renew_again_and_again, self._orders[0].lifetime_s)
         await self._all_dismissed.wait()
 
     def close(self) -> None:
@@ -145,6 +159,26 @@ class AttachedProcesses(ProcessSupervisor):
             return await anyio.to_thread.run_sync(_is_counted_on, order, abandon_on_cancel=True)
         finally:
             self._leaving -= 1
+
+    async def _renew_again_and_again(self, lifetime_s: float) -> None:
+        """Have all go on with new certificates before theirs end; for whom there is none, it is asked again soon."""
+        while True:
+            await anyio.sleep(lifetime_s / PARTS)
+            left = self.children
+            while left := [child for child in left if child.is_up and not await self._is_renewed(child)]:
+                await anyio.sleep(lifetime_s / PARTS / AGAIN)
+
+    async def _is_renewed(self, child: Child) -> bool:
+        """Whether the launch has given another certificate, with which the next process is started, too."""
+        try:
+            secret = await anyio.to_thread.run_sync(self._renewed, child.order, abandon_on_cancel=True)
+        except HieraxError as error:
+            if child.is_up:
+                self.notify(f"{child.name}: there is no other certificate for its process yet: {error}")
+            return False
+        child.order = replace(child.order, secret=secret)
+        await renew(child, secret, self.notify)
+        return True
 
     async def _watch_hub(self, endpoint: str) -> None:
         """A launch that cannot be reached may be reached again; one that is gone says so to whoever knocks. Where it
@@ -245,6 +279,7 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         settings=here.settings,
         secret=_secret(order, here),
         access=_access(order, here),
+        lifetime_s=_lifetime_s(order),
         low_latency=_field(order, "low_latency", bool),
         import_paths=tuple(here.import_paths),
         checkpoint=str(folder / name),
@@ -270,6 +305,22 @@ def _secret(order: Mapping[str, Any], here: AttachedHere) -> str:
     if not is_secret(secret) or may_issue(secret) or not certificates_of(secret):
         raise HieraxError(f"{order['name']}: the launch's order has no certificate for it")
     return str(secret)
+
+
+def _lifetime_s(order: Mapping[str, Any]) -> float | None:
+    """How long certificates of the run hold."""
+    lifetime_s = _field(order, "lifetime_s", float, int, type(None))
+    if lifetime_s is not None and not 0 < lifetime_s < inf:
+        raise HieraxError(f"{order['name']}: the launch's order says lifetime_s: {lifetime_s}; expected a time")
+    return None if lifetime_s is None else max(float(lifetime_s), SHORTEST_S)
+
+
+def new_secret(order: NodeOrder, here: AttachedHere) -> str:
+    """What the launch lets a node's process in with from now on. Raises `HieraxError` if it gives none."""
+    keys = Keys(order.deployment, order.run)
+    with LaunchClient(here.endpoint, here.settings, keys, here.secret) as client:
+        answer = client.ask({"ask": "renew", "name": order.name, "process": order.process, "host": here.host})
+    return _secret({"name": order.name, **answer}, here)
 
 
 def _access(order: Mapping[str, Any], here: AttachedHere) -> Access | None:

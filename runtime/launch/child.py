@@ -20,7 +20,18 @@ import anyio.abc
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.fork_server import ForkServer
-from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, READ_BYTES, RENEWED, REPORT, UP, NodeOrder, frame
+from hierax.runtime.launch.frames import (
+    CUT_OFF,
+    DISMISSED,
+    FAILED,
+    READ_BYTES,
+    RENEW,
+    RENEWED,
+    REPORT,
+    UP,
+    NodeOrder,
+    frame,
+)
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
 from hierax.schemas.values import Value
@@ -183,6 +194,10 @@ class Child:
         return self.order.process
 
     @property
+    def is_up(self) -> bool:
+        return self.state is ProcessState.UP
+
+    @property
     def alive(self) -> bool:
         """Whether it has not ended yet, as far as anybody has noticed."""
         return self.returncode is None
@@ -217,6 +232,10 @@ class Child:
     def renewed_secret(self) -> str:
         """What it is to go on with: a certificate that is new."""
         return self.order.admitted().secret
+
+    async def renew(self, secret: str) -> None:
+        """Tell it to go on with another certificate, which is in this secret."""
+        await self.send({RENEW: secret})
 
     async def send(self, value: Value) -> bool:
         """Send it a command; whether it listens."""

@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from secrets import token_hex
 
@@ -20,7 +19,7 @@ import anyio
 
 from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
-from hierax.runtime.host.run_secret import issued
+from hierax.runtime.host.run_secret import end_of, issued
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.owner.owner import Owner
@@ -139,8 +138,8 @@ class NodeOrder:
         if self.access is None:
             return self
         role = self.access.role_of(self.name, self.shares)
-        until = None if self.lifetime_s is None else datetime.now(timezone.utc) + timedelta(seconds=self.lifetime_s)
-        return replace(self, secret=issued(self.secret, role, [self.host or OWN_ADDRESS], until))
+        secret = issued(self.secret, role, [self.host or OWN_ADDRESS], end_of(self.lifetime_s))
+        return replace(self, secret=secret)
 
     def plain(self) -> Value:
         return {

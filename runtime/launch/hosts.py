@@ -44,7 +44,7 @@ def reached(deployment: Deployment) -> Iterator[Reached]:
     in the file that cannot be used."""
     links: dict[str, KeeperLink] = {}
     try:
-        for name in _needed(deployment):
+        for name in needed_hosts(deployment):
             links[name] = KeeperLink(deployment.hosts[name])
         yield Reached({name: (link, link.greeting()) for name, link in links.items()})
     finally:
@@ -54,7 +54,8 @@ def reached(deployment: Deployment) -> Iterator[Reached]:
             link.close()
 
 
-def _needed(deployment: Deployment) -> list[str]:
+def needed_hosts(deployment: Deployment) -> list[str]:
+    """The hosts beside this machine that nodes are placed on, or may move to."""
     needed = set(deployment.placed.values())
     while more := {deployment.hosts[name].fallback for name in needed} - needed - {""}:
         needed |= more

@@ -33,7 +33,8 @@ END_S = 1.5  # how long it may take to end when it is told nothing more
 MAX_NOISE_BYTES = 1 << 18  # what a user's shell may say before the keeper does
 
 _NOT_INSTALLED = re.compile(r"No module named '?hierax(?![.\w])")
-_UNREACHED, _NOT_FOUND = 255, (126, 127)  # exit codes of `ssh`, and of a shell
+UNREACHED = 255  # exit code of `ssh`
+_NOT_FOUND = (126, 127)  # of a shell
 
 
 class HostError(HieraxError):
@@ -131,10 +132,10 @@ class KeeperLink:
         while data := self._read(self.errors):
             self._said += data
         code, text = self.process.returncode, self._said.decode(errors="replace")
-        python, told = self.host.python, " ".join(self.host.ssh)
-        if code == _UNREACHED:
-            what = f"cannot be reached{self._last()}; expected `ssh {told}` to log in without a question"
-        elif code in _NOT_FOUND:
+        python = self.host.python
+        if code == UNREACHED:
+            return unreached(self.host, self._last())
+        if code in _NOT_FOUND:
             what = f"there is no Python {python!r}{self._last()}; expected the command there that has hierax"
         elif _NOT_INSTALLED.search(text):
             what = f"hierax is not installed for {python} there{self._last()}; {_expected()}"
@@ -189,10 +190,21 @@ class KeeperLink:
 
 
 def ssh_command(host: Host) -> list[str]:
-    """What starts the keeper of a host. What its user has said of `ssh` goes before what is ours."""
+    """What starts the keeper of a host."""
+    return [*ssh_to(host), _remote_command(host)]
+
+
+def ssh_to(host: Host) -> list[str]:
+    """What a command of a host's shell stands behind. What its user has said of `ssh` goes before what is ours."""
     *options, destination = host.ssh
     ours = ["-T", "-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_S}"]
-    return ["ssh", *options, *ours, "--", destination, _remote_command(host)]
+    return ["ssh", *options, *ours, "--", destination]
+
+
+def unreached(host: Host, said: str) -> HostError:
+    """That `ssh` has not come there; `said`: what it has said, after a colon, or nothing."""
+    told = " ".join(host.ssh)
+    return HostError(host, f"cannot be reached{said}; expected `ssh {told}` to log in without a question")
 
 
 def _unblocked(stream: IO[bytes]) -> int:
@@ -203,11 +215,12 @@ def _unblocked(stream: IO[bytes]) -> int:
 def _remote_command(host: Host) -> str:
     """For the shell there, which knows where its user's home is."""
     _, *arguments = python_module(KEEPER)
-    command = f"exec {_shell_path(host.python)} {shlex.join(arguments)}"
-    return f"cd {_shell_path(host.folder)} && {command}" if host.folder else command
+    command = f"exec {shell_path(host.python)} {shlex.join(arguments)}"
+    return f"cd {shell_path(host.folder)} && {command}" if host.folder else command
 
 
-def _shell_path(path: str) -> str:
+def shell_path(path: str) -> str:
+    """A path as the shell there reads it: `~` is its user's home."""
     first, *rest = PurePosixPath(path).parts
     return "/".join(("~", *map(shlex.quote, rest))) if first == "~" else shlex.quote(path)
 

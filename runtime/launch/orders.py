@@ -10,7 +10,7 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.secrets import public_settings
 from hierax.runtime.execution.world_member import has_record, read_record
-from hierax.runtime.host.run_secret import certificates_of
+from hierax.runtime.host.run_secret import certificates_of, end_of, issued
 from hierax.runtime.launch.frames import COME_BACK, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.loading.allowance import module_of
@@ -18,7 +18,7 @@ from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.schemas.access import Access
+from hierax.schemas.access import READER, Access
 from hierax.schemas.checkpoint import WorldRecord, decode_processes, decode_roster
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Reference, Roster
@@ -181,8 +181,12 @@ class Orders:
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""
         own = replace(order, output="", checkpoint="", import_paths=(), settings=None, probes=())
-        own = replace(own, host=host, elsewhere=True, lifetime_s=None)  # nothing that is new would come there
+        own = replace(own, host=host, elsewhere=True)
         return replace(own, secret="") if own.access is None else own.admitted()  # who keeps it has the secret
+
+    def recorder_secret(self) -> str:
+        """With which a recorder that the launch has started is let in."""
+        return issued(self.secret, READER, until=end_of(self.deployment.certificates_s))
 
     def terms(self, name: str) -> ProcessTerms:
         return self._terms.get(name, self.deployment.restart)

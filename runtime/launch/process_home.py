@@ -9,10 +9,8 @@ from typing import Any
 from hierax.runtime.launch.frames import NodeOrder
 from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.shared_process import Neighbours
-from hierax.runtime.transport.zenoh_session import await_links, close_session, endpoint_at, open_session
+from hierax.runtime.transport.zenoh_session import LINGER_S, await_links, close_session, endpoint_at, open_session
 from hierax.schemas.keys import Keys
-
-LINGER_S = 1.0  # how long what was said in a session may be on its way when another one is used
 
 
 class ProcessHome:

@@ -14,7 +14,7 @@ import anyio.abc
 from hierax.runtime.host.streams import python_module, started_deaf
 from hierax.runtime.launch.child import END_TIMEOUT_S, how_ended
 from hierax.runtime.recording.info import Ending, RunInfo
-from hierax.runtime.recording.live_recording import DONE, FAILED
+from hierax.runtime.recording.live_recording import DONE, FAILED, LAST, LISTENING, RENEW, RENEWED
 from hierax.runtime.recording.topics import EVERYTHING, Selection
 from hierax.runtime.recording.writing import Target
 
@@ -40,8 +40,15 @@ class RecordingRequest:
 class RecorderChild:
     """Starts the recorder's process, listens to it, and has it finish."""
 
-    def __init__(self, request: RecordingRequest, notify: Callable[[str], None]) -> None:
+    name = "recorder"
+
+    def __init__(
+        self, request: RecordingRequest, renewed_secret: Callable[[], str], notify: Callable[[str], None]
+    ) -> None:
         self._request = request  # what is to be recorded; told what becomes of it
+        self.renewed_secret = renewed_secret  # gives what it is to go on with: a certificate that is new
+        self.renewals = 0  # how often it has gone on with a new one
+        self.is_up = False  # whether it listens
         self._notify = notify  # tells people what happens
         self._process: anyio.abc.Process | None = None
         self._ended = anyio.Event()
@@ -50,6 +57,10 @@ class RecorderChild:
     def pid(self) -> int:
         """The number of its process; 0: there is none yet."""
         return 0 if self._process is None else self._process.pid
+
+    async def renew(self, secret: str) -> None:
+        """Tell it to go on with another certificate, which is in this secret."""
+        await self._send(json.dumps({RENEW: secret}))
 
     async def start(self, info: RunInfo, endpoint: str, zenoh_config: Any, secret: str, access: Any) -> None:
         """Start the process and give it its order; it need not listen yet, as the nodes' processes wait for it."""
@@ -88,6 +99,7 @@ class RecorderChild:
                 self._take(json.loads(line))
         with anyio.move_on_after(END_TIMEOUT_S):
             await process.wait()
+        self.is_up = False
         if self._request.ending is None and not self._request.failure:
             self._request.failure = f"the recorder's process ended {how_ended(process.returncode)}"
             self._notify(f"{self._request.failure}; the run goes on, and is not recorded any further")
@@ -98,7 +110,7 @@ class RecorderChild:
         process = self._process
         if process is None:
             return
-        await self._send("" if last is None else str(last))
+        await self._send(json.dumps({LAST: last}))
         if process.stdin is not None:
             await process.stdin.aclose()
         with anyio.move_on_after(FINISH_TIMEOUT_S):
@@ -110,7 +122,11 @@ class RecorderChild:
             await process.stdout.aclose()
 
     def _take(self, said: dict[str, Any]) -> None:
-        if said["status"] == DONE:
+        if said["status"] == LISTENING:
+            self.is_up = True
+        elif said["status"] == RENEWED:
+            self.renewals += 1
+        elif said["status"] == DONE:
             self._request.ending = Ending.read(said["ending"])
             self._request.violations = said["violations"]
         elif said["status"] == FAILED:

@@ -2,40 +2,67 @@
 
 A process then opens another session, has its nodes use it, and closes the one before."""
 
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
 import anyio
 
-from hierax.runtime.launch.child import Child, ProcessState
-from hierax.runtime.launch.frames import RENEW
-from hierax.runtime.launch.process_supervisor import Notify
-from hierax.runtime.launch.roster_supervisor import RosterSupervisor
+from hierax.runtime.launch.process_supervisor import Notify, ProcessSupervisor
 
+PARTS = 3  # of the time that certificates hold; when the first one is over, new ones come
 RENEWS_S = 60.0  # how long a process may take for it, until the next one's turn
 LOOK_S = 0.05
 
 
-async def renew_again_and_again(processes: RosterSupervisor, lifetime_s: float | None, notify: Notify) -> None:
-    """Until it is cancelled; None: they hold as long as the run."""
+class Shown(Protocol):
+    """A process that shows certificates."""
+
+    renewals: int  # how often it has gone on with a new one
+
+    @property
+    def name(self) -> str:
+        """By which people are told of it."""
+
+    @property
+    def is_up(self) -> bool:
+        """Whether it shows one at all."""
+
+    def renewed_secret(self) -> str:
+        """What it is to go on with: a certificate that is new."""
+
+    async def renew(self, secret: str) -> None:
+        """Tell it to go on with another certificate."""
+
+
+async def renew_again_and_again(due: Callable[[], Iterable[Shown]], lifetime_s: float | None, notify: Notify) -> None:
+    """Whatever is up then, until it is cancelled; None: certificates hold as long as the run."""
     if lifetime_s is None:
         return
     due_s = anyio.current_time()
     while True:
-        due_s = max(due_s + lifetime_s / 3, anyio.current_time())
+        due_s = max(due_s + lifetime_s / PARTS, anyio.current_time())
         await anyio.sleep_until(due_s)
-        for child in [each for each in processes.children if _stands_for_its_process(each)]:
-            if not await _is_renewed(child):
-                notify(f"{child.name}: its process has not got another certificate within {RENEWS_S:g} s")
+        for each in due():
+            if each.is_up:  # it may have ended while others had their turn
+                await renew(each, each.renewed_secret(), notify)
 
 
-def _stands_for_its_process(child: Child) -> bool:
-    """Whether it is up, and the first such where nodes share a process."""
-    return child is next((each for each in child.mates or [child] if each.state is ProcessState.UP), None)
-
-
-async def _is_renewed(child: Child) -> bool:
-    """Whether a process shows another certificate from now on; or has ended, as the next one gets one anyway."""
-    before = child.renewals
-    await child.send({RENEW: child.renewed_secret()})
+async def renew(shown: Shown, secret: str, notify: Notify) -> None:
+    """Have a process show another certificate, unless it ends before, as the next one gets one anyway; where it does
+    not come to that, people are told."""
+    before = shown.renewals
+    await shown.renew(secret)
     with anyio.move_on_after(RENEWS_S):
-        while child.renewals == before and child.state is ProcessState.UP:
+        while shown.renewals == before and shown.is_up:
             await anyio.sleep(LOOK_S)
-    return child.renewals > before or child.state is not ProcessState.UP
+    if shown.renewals == before and shown.is_up:
+        notify(f"{shown.name}: its process has not got another certificate within {RENEWS_S:g} s")
+
+
+def one_of_each(processes: ProcessSupervisor) -> list[Shown]:
+    """The processes of nodes that are up; of nodes that share one, the first such stands for it."""
+    return [
+        child
+        for child in processes.children
+        if child is next((each for each in child.mates or [child] if each.is_up), None)
+    ]

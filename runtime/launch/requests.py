@@ -13,10 +13,11 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.rates import TOGETHER
 from hierax.runtime.deployment.read import RATELESS
+from hierax.runtime.host.run_secret import certificates_of
 from hierax.runtime.host.scheduling import POLICIES
 from hierax.runtime.launch.audit import Audit, asker
 from hierax.runtime.launch.child import ProcessState
-from hierax.runtime.launch.frames import NEWCOMER, new_process
+from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, new_process
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.loading.allowance import NotAllowedError, Refusals
 from hierax.runtime.loading.nearest import did_you_mean
@@ -28,7 +29,7 @@ from hierax.schemas.roster import Attach, Change, new_nodes, read_change
 from hierax.schemas.values import Value
 
 PS, RECORD = LOOKS = ("ps", "record")
-CHANGE, AWAIT = CHANGES  # what can be asked for, on a key each; see `Requests`
+CHANGE, AWAIT, RENEW = CHANGES  # what can be asked for, on a key each; see `Requests`
 
 
 MAX_CHANGES = 8  # how many changes may be under way at once
@@ -60,6 +61,7 @@ class Requests:
     ``{"epoch"}``, the first one under the changed roster when it is committed, or ``{"refusal"}``; ``by`` says who
     asks, for the audit. With ``here`` the processes of new nodes are kept by who asks: the answer is ``{"request",
     "orders"}``, what they are to be started with, and ``{"ask": "await", "request"}`` is answered in the end.
+    ``{"ask": "renew", "name", "process", "host"}`` is answered with ``{"secret"}``: a new certificate for one of these.
     ``{"ask": "record", "pid"}`` says that a process, 0 for one on another machine, is about to record; the answer is
     the fields of a `RunInfo`, and of an `Access`."""
 
@@ -121,7 +123,23 @@ class Requests:
             if not isinstance(request, str):
                 raise SchemaError(f"expected a text, got {shown(request)}", "question.request")
             return await self._changes.wait(request)
+        if ask == RENEW:
+            return await self._renewed(query)
         return await self._change_if_room(query)
+
+    async def _renewed(self, query: Mapping[str, Value]) -> Value:
+        """A certificate for a process that others keep, and that the owner counts on."""
+        name, process, host = (query.get(field) for field in ("name", "process", "host"))
+        if not (isinstance(name, str) and isinstance(process, str) and isinstance(host, str)):
+            raise SchemaError("expected the name of a node, its process, and an address", "question")
+        processes = self._processes
+        if processes.members.get(name) != process:
+            await processes.hear_members()  # it may just have come
+        if processes.members.get(name) != process or processes.child(process) is not None:
+            raise HieraxError(f"{shown(name)}: the launch counts on no such process that others keep")
+        if not certificates_of(processes.orders.secret):
+            raise HieraxError(f"{name}: this launch has no certificates")
+        return {"secret": processes.orders.elsewhere(processes.orders.order(name, process, COME_BACK), host).secret}
 
     async def _change_if_room(self, query: dict[str, Any]) -> Value:
         """So many changes at once, and no more: each may need processes, and the owner makes one after the other."""

@@ -112,7 +112,7 @@ def register(running: Running, secret: str = "") -> Path:
 
 def forget(running: Running) -> None:
     """Have a run not be known here any more; its key is good for nothing."""
-    for folder in _folders():
+    for folder in launch_folders():
         for suffix in (".json", _KEY):
             with suppress(OSError):
                 (folder / f"{running.run}{suffix}").unlink()
@@ -120,7 +120,7 @@ def forget(running: Running) -> None:
 
 def key_path(run: str) -> Path:
     """Where the key of a run is, if that is closed, and known here."""
-    paths = [folder / f"{run}{_KEY}" for folder in _folders()]
+    paths = [folder / f"{run}{_KEY}" for folder in launch_folders()]
     return next((path for path in paths if path.exists()), paths[0])
 
 
@@ -142,7 +142,7 @@ def known_runs() -> list[Running]:
     """The launches that run on this machine; what dead ones left behind is removed."""
     _fit_folder()
     found = {}
-    for folder in _folders():
+    for folder in launch_folders():
         for path in sorted(folder.glob("*.json")):
             try:
                 running = _running(json.loads(read_private(path)))
@@ -156,7 +156,7 @@ def known_runs() -> list[Running]:
     return [found[run] for run in sorted(found)]
 
 
-def _folders() -> list[Path]:
+def launch_folders() -> list[Path]:
     """Where runs may be found. In the system's temporary folder, anybody may have taken the name."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     if given:
@@ -167,7 +167,7 @@ def _folders() -> list[Path]:
 def _fit_folder() -> Path:
     """Where runs can be registered. Raises `HieraxError` if that is nowhere."""
     why = ""
-    for folder in _folders():
+    for folder in launch_folders():
         try:
             with private_folder(folder, make=True):
                 return folder

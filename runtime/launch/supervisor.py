@@ -18,7 +18,7 @@ from hierax.runtime.execution.output_folder import write_roster
 from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.timing import timing_of
-from hierax.runtime.host.run_secret import certificates_of, issued, new_secret
+from hierax.runtime.host.run_secret import certificates_of, new_secret
 from hierax.runtime.launch.audit import Audit
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.fork_server import ForkServer
@@ -28,7 +28,7 @@ from hierax.runtime.launch.hosts import Hosts, Reached, reached
 from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError, access_of
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
-from hierax.runtime.launch.renewal import renew_again_and_again
+from hierax.runtime.launch.renewal import Shown, one_of_each, renew_again_and_again
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, register, warning_of
@@ -37,7 +37,6 @@ from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
 from hierax.runtime.watch.doors import overheard
 from hierax.runtime.watch.logs import begin_log
-from hierax.schemas.access import READER
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
@@ -158,7 +157,7 @@ class Supervisor:
         self._start_s: float | None = None
         self._signals = 0
         self._graceful: GracefulEnd | None = None
-        self._recorder = None if recording is None else RecorderChild(recording, self._notify)
+        self._recorder = None if recording is None else RecorderChild(recording, orders.recorder_secret, self._notify)
         self._tasks = anyio.create_task_group()
         self._hosts = hosts  # where processes are started
         self._processes = RosterSupervisor(self._tasks, orders, hub, hosts, self._notify, self._break)
@@ -234,10 +233,15 @@ class Supervisor:
             return
         orders = self._orders
         info = orders.info(from_start=not orders.resumes)
-        secret, access = issued(orders.secret, READER), orders.access.plain()
+        secret, access = orders.recorder_secret(), orders.access.plain()
         await self._recorder.start(info, orders.hub, self._deployment.zenoh, secret, access)
         orders.recorders.add(self._recorder.pid)
         self._tasks.start_soon(self._recorder.listen)
+
+    def _shown(self) -> list[Shown]:
+        """The processes that show certificates, beside this one."""
+        recorders = [self._recorder] if self._recorder is not None and self._recorder.is_up else []
+        return [*recorders, *one_of_each(self._processes)]
 
     @property
     def _reports(self) -> dict[str, dict[str, Value]]:
@@ -268,9 +272,7 @@ class Supervisor:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
             self._start_s = time.perf_counter() - begun_s
             self._tasks.start_soon(self._processes.watch_world)
-            self._tasks.start_soon(
-                renew_again_and_again, self._processes, self._deployment.certificates_s, self._notify
-            )
+            self._tasks.start_soon(renew_again_and_again, self._shown, self._deployment.certificates_s, self._notify)
             await self._processes.finished.wait()
 
     async def _collect(self) -> None:

@@ -1,10 +1,11 @@
 """A recorder in a process of its own, beside a launch; also as `hierax record` runs it.
 
-Started by a supervisor with its order, a JSON object, as the first line of standard input.
-End of file there means that the run is over; a second line, if there was one, is the number
-of its last epoch. What it has to say goes to standard output as JSON objects, one a line."""
+Started by a supervisor with its order, a JSON object, as the first line of standard input. Others may follow: with
+which certificate it is to go on, and, when the run is over, which was its last epoch, where that is known. End of file
+there means that it is over, too. What it has to say goes to standard output as JSON objects, one a line."""
 
 import json
+import logging
 import os
 import sys
 import threading
@@ -33,8 +34,15 @@ LOOK_S = 1.0
 CUT_OFF_LOOKS = 5
 """How often the launch is asked; how often in a row it has to be further, and nothing come, for a recorder to end."""
 
-LISTENING, DONE, FAILED = "listening", "done", "failed"
-"""What it says: it hears all from now on; how the recording ended; why there is none."""
+RENEW, LAST = "renew", "last"
+"""What it is told: go on with the certificate in this secret; the run is over, with this epoch, or null."""
+
+LISTENING, RENEWED, DONE, FAILED = "listening", "renewed", "done", "failed"
+"""What it says: it hears all from now on; it shows the new certificate; how the recording ended; why there is none."""
+
+_log = logging.getLogger("hierax")
+
+_saying = threading.Lock()
 
 
 class LiveRecording:
@@ -65,6 +73,14 @@ class LiveRecording:
         if last is not None:
             self._last = last
         self._stopping = True
+
+    def renew(self, secret: str) -> bool:
+        """Go on with another certificate, from any thread; whether that was before the end."""
+        try:
+            return self._ear.renew(secret)
+        except HieraxError as error:
+            _log.warning("the recorder's certificate is not renewed: %s", error)
+            return False
 
     def record(self) -> Ending:
         """Hear and write until `stop`, the last wanted epoch, or the launch's end; `RecordingError` as `Recorder`."""
@@ -157,12 +173,23 @@ def main() -> int:
 
 
 def _obey(recording: LiveRecording) -> None:
-    line = sys.stdin.readline()
-    recording.stop(int(line) if line.strip() else None)
+    for line in sys.stdin:
+        told = json.loads(line)
+        if LAST in told:
+            recording.stop(told[LAST])
+        else:  # it takes a while, and the end does not wait for it
+            threading.Thread(target=_renew, args=(recording, told[RENEW]), daemon=True).start()
+    recording.stop()
+
+
+def _renew(recording: LiveRecording, secret: str) -> None:
+    if recording.renew(secret):
+        _say({"status": RENEWED})
 
 
 def _say(value: Mapping[str, Any]) -> None:
-    print(json.dumps(value), flush=True)
+    with _saying:
+        print(json.dumps(value), flush=True)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from hierax.schemas.keys import Keys, node_of
 from hierax.schemas.limits import MAX_QUESTION_BYTES, MAX_STATE_BYTES
 from hierax.schemas.values import Value, decode_value, encode_value
 
-CHANGES = ("change", "await")  # what a supervisor is asked on the key of changes; the rest is asked where all may look
+CHANGES = ("change", "await", "renew")  # what is asked on the key of changes; the rest is asked where all may look
 
 _log = logging.getLogger("hierax")
 

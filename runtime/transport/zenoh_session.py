@@ -76,6 +76,7 @@ LONGEST_SHORT_BYTES = MAX_QUESTION_BYTES + 64 * 1024
 
 LINKS_S = 10.0  # how long another session of a process may take to have the links that the one before has
 LINKS_LOOK_S = 0.02
+LINGER_S = 1.0  # how long what was said in a session may be on its way when another one is used
 
 CLOSE_TIMEOUT_S = 1.0
 EXIT_TIMEOUT_S = 3.0  # how long the interpreter's end waits for sessions that were not closed by then

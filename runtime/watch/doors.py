@@ -17,7 +17,9 @@ _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _OF_DOORS = re.compile(r"(?:DEBUG|WARN|ERROR) .*(zenoh_link_t(?:cp|ls)::unicast|establishment::accept): (.*)")
 _CAME = re.compile(r"Accepted T(?:CP|LS) connection on \S+: ([^\s,]+?)\.?(?: |$)")
 _FAILED = "Hint: increase"  # what Zenoh guesses whenever a link could not be encrypted
-_KNOCKED = "handshake eof"  # somebody looked whether anybody listens
+# nobody was refused: somebody looked whether anybody listens, or was cut off, or ended, while a link was opened
+_BROKEN = re.compile(r"handshake eof|\(os error \d+\)|Timeout during TLS handshake")
+_OVER = "peer certificate: certificate expired"
 
 
 class Doors:
@@ -38,19 +40,22 @@ class Doors:
         if came is not None:
             self._came = came[1]
         elif what.startswith("UsrPwd extension"):
-            self._count(self._came, self._came.rpartition(":")[0], "key")
-        elif where.startswith("zenoh_link_tls") and _FAILED in what and _KNOCKED not in what:
-            self._count("somebody", "", "certificate")  # Zenoh does not tell whom
+            self._count(self._came, self._came.rpartition(":")[0], "it has no key of this run")
+        elif where.startswith("zenoh_link_tls") and _FAILED in what and not _BROKEN.search(what):
+            # Zenoh does not tell whom
+            ended = _OVER in what
+            why = "its certificate has ended" if ended else "it has no certificate of this run"
+            self._count("somebody", "ended" if ended else "", why)
         return True
 
-    def _count(self, who: str, host: str, lacks: str) -> None:
+    def _count(self, who: str, host: str, why: str) -> None:
         if host not in self._refused and len(self._refused) >= MAX_HOSTS:
             host = "others"
         self._refused[host] += 1
         count = self._refused[host]
         if not count & (count - 1):
             often = f" ({count} times by now)" if count > 1 else ""
-            self._tell(f"refused {who}: it has no {lacks} of this run{often}")
+            self._tell(f"refused {who}: {why}{often}")
 
 
 _listeners: list[Callable[[str], None]] = []

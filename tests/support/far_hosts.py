@@ -92,14 +92,20 @@ class FarHosts:
             config.write_text(_SSHD_CONFIG.format(name=name, address=self.addresses[name], **where), encoding="utf-8")
             self.power_on(name)
 
-    def power_on(self, name: str) -> None:
-        """Start a host's `sshd`, and have the wire reach it."""
+    def power_on(self, name: str, disk: Path | None = None) -> None:
+        """Start a host's `sshd`, and have the wire reach it. `disk`: a folder that is its own there, and empty; all
+        others are those of this machine."""
         folder, namespace = self.folder, self.namespaces[name]
-        self._servers[name] = subprocess.Popen(
-            ["ip", "netns", "exec", namespace, _SSHD, "-D", "-f", folder / f"{name}.sshd", "-E", folder / f"{name}.log"]
-        )
+        sshd = [_SSHD, "-D", "-f", folder / f"{name}.sshd", "-E", folder / f"{name}.log"]
+        # `ip` gives it mounts of its own, too
+        own = [] if disk is None else ["sh", "-c", 'mount -t tmpfs tmpfs "$0" && exec "$@"', disk]
+        self._servers[name] = subprocess.Popen(["ip", "netns", "exec", namespace, *own, *sshd])
         self.heal(name)
         until(lambda: (folder / f"{name}.pid").exists(), f"sshd of {name}")
+
+    def seen_there(self, name: str, path: Path) -> Path:
+        """A path of a host's, as it is found on this machine."""
+        return Path(f"/proc/{self._servers[name].pid}/root{path}")
 
     def power_off(self, name: str) -> None:
         """Nothing is heard of a host any more, and all that ran there is gone."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import signal
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.far_hosts import ARM, DESK, ROBOT, FarHosts, script, skip_without_hosts
-from support.live import Live, hierax, renewed, until
+from support.live import DEPLOYMENT, Live, hierax, renewed, until
 
 CUT_S = 5.0
 FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1")
@@ -36,14 +38,26 @@ def launch(far: FarHosts, tmp_path: Path) -> Iterator[Launch]:
     """Launches on the desk, by what its deployment file says of hosts and places; with options."""
     made: list[Live] = []
 
-    def begin(more: str, *options: str) -> Live:
-        made.append(Live(tmp_path, *options, namespace=far.namespaces[DESK], pace_s=0.01, more=more))
+    def begin(more: str, *options: str, **given: Any) -> Live:
+        made.append(Live(tmp_path, *options, namespace=far.namespaces[DESK], pace_s=0.01, more=more, **given))
         return made[-1]
 
     yield begin
     for each in made:
         each.close()
     far.restore()
+
+
+OWN = "nodes.low.class=own_drawer:Own"
+
+
+def with_own_module(far: FarHosts, folder: Path) -> str:
+    """What a file says of hosts with a module of its own beside it, where the robot has an empty folder."""
+    (folder / "own_drawer.py").write_text("from hierax.runtime.sim.nodes import Drawer as Own\n", encoding="utf-8")
+    far.power_off(ROBOT)
+    far.power_on(ROBOT, disk=folder)
+    hosts = re.sub(", folder: [^,}]*", "", far.hosts())
+    return f"{hosts}place: {{low: robot}}\n"
 
 
 def states(live: Live) -> dict[str, tuple[str, str, int]]:
@@ -182,8 +196,29 @@ def test_certificates_are_renewed_on_all_hosts(far: FarHosts, launch: Launch) ->
     until(lambda: sorted(renewed(live).values()) >= [4] * 3, "new certificates", 400.0)
     live.goes_on()
     is_repeated(live)
-    late = "hierax: refused somebody: it has no certificate of this run"  # a link's last try with the one before
+    late = "hierax: refused somebody: its certificate has ended"  # a link's last try with the one before
     assert [line for line in said_otherwise(live) if not line.startswith(late)] == []
+
+
+@pytest.mark.skipif(shutil.which("rsync") is None, reason="folders are copied by `rsync`, which is missing")
+def test_a_host_that_has_none_of_the_files_gets_them(far: FarHosts, launch: Launch, tmp_path: Path) -> None:
+    more = with_own_module(far, tmp_path)
+    live = launch(more, "--sync", "--state", str(tmp_path / "state"), settings=[OWN])
+    live.goes_on()
+    assert states(live)["low"] == ("running", ROBOT, 0)
+    there = sorted(path.name for path in far.seen_there(ROBOT, tmp_path).iterdir())
+    assert [name for name in there if name != "__pycache__"] == ["live.yaml", "own_drawer.py"]
+    is_repeated(live)
+    assert said_otherwise(live, f"host robot has a copy of {tmp_path} in {tmp_path}") == []
+
+
+def test_nothing_is_copied_unless_that_is_said(far: FarHosts, launch: Launch, tmp_path: Path) -> None:
+    file = tmp_path / "live.yaml"
+    file.write_text(DEPLOYMENT.format(stop=tmp_path / "stop") + with_own_module(far, tmp_path), encoding="utf-8")
+    done = hierax(tmp_path, "launch", str(file), "--set", OWN, namespace=far.namespaces[DESK])
+    assert done.returncode == 1, done
+    assert "own_drawer" in done.stderr.splitlines()[-1], done.stderr
+    assert list(far.seen_there(ROBOT, tmp_path).iterdir()) == []
 
 
 @pytest.mark.skipif(not FAKETIME.exists(), reason="a clock that goes wrong needs Debian's package faketime")

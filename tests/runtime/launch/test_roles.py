@@ -122,6 +122,8 @@ def test_a_key_is_good_for_its_time_and_ends_links_that_it_has(live: Live) -> No
     close_session(session)
     code, _, err = elsewhere.says("ps")
     assert (code, "; this key was good until 20" in err) == (1, True), err
+    live.launch.says("refused somebody: its certificate has ended")
+    assert not any("no certificate of this run" in line for line in live.launch.err), live.launch.err
     live.goes_on()
 
 

@@ -30,6 +30,29 @@ def test_a_flood_of_refusals_is_few_lines() -> None:
     assert len(told) < 10 + MAX_HOSTS + 12
 
 
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        ("received fatal alert: UnknownCA", "it has no certificate of this run"),
+        ("received corrupt message of type InvalidContentType", "it has no certificate of this run"),
+        (
+            "invalid peer certificate: certificate expired: verification time 2 (UNIX)",
+            "its certificate has ended",
+        ),
+        ("tls handshake eof", ""),
+        ("Connection reset by peer (os error 104)", ""),
+        ("Timeout during TLS handshake", ""),
+    ],
+)
+def test_who_shows_no_certificate_is_told_apart_from_whose_has_ended_and_from_links_that_broke(
+    what: str, told: str
+) -> None:
+    lines: list[str] = []
+    doors = Doors(lines.append)
+    assert doors.take(f"2030  WARN acc-0 zenoh_link_tls::unicast: {what}. Hint: increase the system open file limit.\n")
+    assert lines == ([f"refused somebody: {told}"] if told else [])
+
+
 def test_what_else_is_printed_goes_where_it_went(capfd: pytest.CaptureFixture[str]) -> None:
     told: list[str] = []
     with watched(told.append):
