@@ -1,7 +1,7 @@
 """What has come from neighbours of a node with rates, for as long as it may count."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.messages import Message
@@ -16,6 +16,12 @@ class KeptMessages:
     def has(self, slot: Slot, epoch: int) -> bool:
         return epoch in self._slots[slot]
 
+    def has_all(self, slots: Iterable[Slot], epoch: int) -> bool:
+        for slot in slots:  # noqa: SIM110 - a loop takes half the time of all()
+            if epoch not in self._slots[slot]:
+                return False
+        return True
+
     def of(self, slot: Slot, epoch: int) -> Message | None:
         return self._slots[slot].get(epoch)
 
@@ -24,7 +30,9 @@ class KeptMessages:
 
     def forget(self, slot: Slot, before: int) -> None:
         """Those of the epochs before this one count no more."""
-        _forget(self._slots[slot], before)
+        kept = self._slots[slot]
+        if kept:
+            _forget(kept, before)
 
     def only(self, since: Mapping[Slot, int]) -> None:
         """Nothing is kept of other slots, nor what is of an epoch before these."""

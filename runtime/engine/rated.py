@@ -50,7 +50,6 @@ class RatedEngine(SayingEngine):
         self._has_waited = False
         self._greets = joins or saved is not None  # whether neighbours may have more than this process knows of
         self.drains = False  # whether the epoch under way is a drained one; of the world's, to be set before it begins
-        self._used: list[tuple[str, str, int, int]] = []
         self.overruns: dict[str, int] = {}  # by node above, how often its delayed prediction was waited for
         comes = joins and wiring.place.rates is not None and wiring.node.name in wiring.place.rates.timing.fresh
         super().__init__(wiring, effects, saved=saved, joins=comes)
@@ -110,7 +109,8 @@ class RatedEngine(SayingEngine):
     @property
     def used(self) -> tuple[tuple[str, str, int, int], ...]:
         """Of what an edge gathers, each epoch of which there is something; epoch 0: nothing counts yet."""
-        return tuple(sorted(self._used))
+        observed = [row for slot, message in self._heard.items() for row in self._observed(slot, message)]
+        return tuple(sorted(observed + [(*slot, *message.header.when) for slot, message in self._told.items()]))
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
@@ -181,7 +181,7 @@ class RatedEngine(SayingEngine):
     # --- what comes
 
     def receive(self, message: Message) -> None:
-        if self.is_world and not self.begun:
+        if not self.begun and self.is_world:
             return  # what comes of the roster on record was for the world's last process; all is said again
         header = message.header
         kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
@@ -218,7 +218,8 @@ class RatedEngine(SayingEngine):
     def _take_in(self, message: Message) -> None:
         header = message.header
         self.begun = True
-        self._greet_first()
+        if self._greets:
+            self._greet_first()
         if header.epoch == GREETING:
             self._hear_greeting(header, message.payload)
             return
@@ -265,6 +266,8 @@ class RatedEngine(SayingEngine):
     def _is_wanted(self, header: Header, slot: Slot) -> bool:
         """Whether it may count yet."""
         epoch = header.epoch
+        if self._counting.get(slot) == epoch:
+            return True
         if slot in self.wiring.below:
             return self._coming.include(epoch, DRAIN in header.extensions)
         return epoch >= self._own.oldest(slot, self.epoch)
@@ -299,8 +302,8 @@ class RatedEngine(SayingEngine):
         """The first of the epochs that come next of which all observations are there; 0: of none, as for the world.
 
         Where it is not the first one of all, that was a drained one, and is over: else nobody had begun another."""
-        for epoch in () if self.is_world else self._coming.epochs:
-            if all(self._kept.has(slot, epoch) for slot in self.wiring.below):
+        for epoch in () if self._world is not None else self._coming.epochs:
+            if self._kept.has_all(self.wiring.below, epoch):
                 return epoch
         return 0
 
@@ -331,9 +334,9 @@ class RatedEngine(SayingEngine):
 
     def _sense(self) -> None:
         self.drains = self._extends = any(DRAIN in message.header.extensions for message in self.inbox.values())
-        self._gather()
+        if self._rates.gathers:
+            self._gather()
         if self._takes_part:
-            self._used = [row for slot, message in self.inbox.items() for row in self._observed(slot, message)]
             super()._sense()
             return
         self.time_s = self.inbox[self.node.below[0], OBSERVATIONS].header.time_s
@@ -375,7 +378,7 @@ class RatedEngine(SayingEngine):
             if upper not in self._told_above and not self.drains:
                 continue
             elements: Elements = ()
-            if sense is not None and self._rates.is_sensed(self.name, upper, self.epoch):
+            if sense is not None and self._own.is_sensed(upper, self.epoch):
                 elements = sense.elements(self.epoch, self.time_s, self._sensed)
                 if self._vigilance or self.events:
                     self._called(sense, elements)
@@ -395,8 +398,6 @@ class RatedEngine(SayingEngine):
             self._say_what_is_saved(self._hand_on_nothing)
             return
         self.inbox = {slot: self._in_force(slot) for slot in self._counting}
-        self._used = [row for row in self._used if row[1] == OBSERVATIONS]
-        self._used += [(*slot, *message.header.when) for slot, message in self.inbox.items()]
         for slot, oldest in self._counting.items():
             self._kept.forget(slot, oldest)
         super()._predict()

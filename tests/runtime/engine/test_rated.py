@@ -144,8 +144,8 @@ def _forgets(engine: RatedEngine) -> None:
     GATHER(engine)
 
 
-def _senses_in_turns_alone(rates: Rates, lower: str, upper: str, epoch: int) -> bool:
-    return IS_SENSED(rates, lower, upper, epoch) and rates.takes_part(lower, epoch)
+def _senses_in_turns_alone(own: OwnRates, upper: str, epoch: int) -> bool:
+    return IS_SENSED(own, upper, epoch) and own.take_part(epoch)
 
 
 def _counts_at_once(edge: EdgeRates, epoch: int) -> int:
@@ -157,11 +157,11 @@ def _counts_one_later(edge: EdgeRates, epoch: int) -> int:
 
 
 IN_FORCE, GATHER = RatedEngine._in_force, RatedEngine._gather
-IS_SENSED, COUNTS = Rates.is_sensed, EdgeRates.in_force
+IS_SENSED, COUNTS = OwnRates.is_sensed, EdgeRates.in_force
 MISTAKES = {
     "the newest in hand counts": (RatedEngine, "_in_force", _newest),
     "what was gathered in other epochs is forgotten": (RatedEngine, "_gather", _forgets),
-    "who has no turn is not observed": (Rates, "is_sensed", _senses_in_turns_alone),
+    "who has no turn is not observed": (OwnRates, "is_sensed", _senses_in_turns_alone),
     "delays are left out": (EdgeRates, "in_force", _counts_at_once),
     "all counts one epoch later": (EdgeRates, "in_force", _counts_one_later),
     "every node takes part in every epoch": (OwnRates, "take_part", lambda *_: True),
