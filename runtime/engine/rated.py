@@ -35,12 +35,7 @@ class RatedEngine(SayingEngine):
     overlaps = True
 
     def __init__(
-        self,
-        wiring: Wiring,
-        effects: EngineEffects,
-        *,
-        saved: Saved | None = None,
-        joins: bool = False,
+        self, wiring: Wiring, effects: EngineEffects, *, saved: Saved | None = None, joins: bool = False
     ) -> None:
         self._kept = KeptMessages()
         self._takes_part = False  # in the epoch under way
