@@ -1,12 +1,13 @@
 """A loop of three nodes at 100 Hz, and above it one that takes 0.3 s: what the loop notices of it.
 
-    python benchmarks/delays.py                # a minute and a half
+    python benchmarks/delays.py                # two and a half minutes
     python benchmarks/delays.py --rounds 5
 
-In turn, `--rounds` times: without the slow node; with it, each 60th epoch and with 60 epochs of time; and with 20 of
-both, which is too little, so that it is waited for. Then the same with an operator that computes in numpy. Prints how
-long epochs take, ratios to those without it, and overruns; digests have to be those of `hierax run`. Exit code 1 where
-one is not, or where there are overruns at 60, or none at 20.
+In turn, `--rounds` times: without the slow node, with the barrier and where a node with rates may come later (`rates:
+true`); with it, each 60th epoch and with 60 epochs of time; and with 20 of both, which is too little, so that it is
+waited for. Then the same with an operator that computes in numpy. Prints how long epochs take, ratios to both of those
+without it (medians of the rounds), and overruns; digests have to be those of `hierax run`. Exit code 1 where one is
+not, or where there are overruns at 60, or none at 20.
 """
 
 from __future__ import annotations
@@ -48,8 +49,10 @@ KINDS = (
     ("computes", "Computing", "other"),
     ("computes and gives way", "Computing", "idle"),
 )
+ALONE, ALONE_RATED = "the loop alone", "the loop alone, rates: true"
 CASES = {
-    "the loop alone": NODES + EDGES,
+    ALONE: NODES + EDGES,
+    ALONE_RATED: "rates: true" + NODES + EDGES,
     **{
         f"{kind}, every {every}": SLOW.replace("CLASS", name).replace("POLICY", policy).replace("EVERY", str(every))
         for kind, name, policy in KINDS
@@ -70,18 +73,26 @@ def main() -> int:
         for case, text in CASES.items():
             found[case].append(said("launch", text))
             faults += found[case][-1]["digest"] != wanted[case]
-    print(f"{'':32} {'p50, µs':>8} {'p99, µs':>8}   to the loop alone   overruns")
+    print(f"{'':32} {'p50, µs':>8} {'p99, µs':>8}   to it alone: p50, p99   with rates: p50, p99   overruns")
     for case, reports in found.items():
-        p50, p99 = ([each["epoch_us"][what] for each in reports] for what in ("p50", "p99"))
-        alone = [[each["epoch_us"][what] for each in found["the loop alone"]] for what in ("p50", "p99")]
-        pairs = [zip(ours, theirs, strict=True) for ours, theirs in zip((p50, p99), alone, strict=True)]
-        ratios = [statistics.median(one / other for one, other in each) for each in pairs]  # of the rounds
+        p50, p99 = (statistics.median(times_of(reports, what)) for what in ("p50", "p99"))
+        ratios = [ratio(reports, found[other], what) for other in (ALONE, ALONE_RATED) for what in ("p50", "p99")]
         overruns = [sum(overruns_of(each).values()) for each in reports]
         too_few = case.endswith(" 20") and not min(overruns)
         faults += too_few or (case.endswith(" 60") and max(overruns) > 0)
-        row = f"{case:32} {statistics.median(p50):8.0f} {statistics.median(p99):8.0f}"
-        print(row, *(f"{ratio:8.2f}" for ratio in ratios), f"  {overruns}")
+        print(f"{case:32} {p50:8.0f} {p99:8.0f}", *(f"{each:10.2f}" for each in ratios), f"  {overruns}")
     return int(faults > 0)
+
+
+def times_of(reports: list[dict[str, Any]], what: str) -> list[float]:
+    """How long epochs took, µs, by round."""
+    return [each["epoch_us"][what] for each in reports]
+
+
+def ratio(reports: list[dict[str, Any]], others: list[dict[str, Any]], what: str) -> float:
+    """The median of the rounds' ratios."""
+    rounds = zip(times_of(reports, what), times_of(others, what), strict=True)
+    return statistics.median(ours / theirs for ours, theirs in rounds)
 
 
 def overruns_of(report: dict[str, Any]) -> dict[str, int]:
