@@ -35,15 +35,15 @@ ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 
 LOGGED = (
     "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off,zenoh_transport::unicast::establishment=off,"
-    "zenoh_codec=off,zenoh::net::routing::hat::peer=off"
+    "zenoh_codec=off,zenoh::net::routing::hat::peer=off,zenoh_transport::unicast::universal::transport=off"
 )
 """What Zenoh prints, where RUST_LOG says nothing.
 
 While a session's first links come up, its threads may be overtaken by messages for keys that they are about to
 declare to it, and gossip may come over a link that has just gone: Zenoh drops that and calls it an error. It is no
 more than greetings, which are said again until they are answered, and news that come again by another link. A link
-that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut; what
-cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a line for each
+that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut, or is
+just closing it; what cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a line for each
 connection, with which anybody who reaches a port could fill a log; as could who declares what it may not, and takes it
 back: then Zenoh says that it knows nothing of it.
 """
