@@ -43,9 +43,9 @@ While a session's first links come up, its threads may be overtaken by messages 
 declare to it, and gossip may come over a link that has just gone: Zenoh drops that and calls it an error. It is no
 more than greetings, which are said again until they are answered, and news that come again by another link. A link
 that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut, or is
-just closing it; what cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a line for each
-connection, with which anybody who reaches a port could fill a log; as could who declares what it may not, and takes it
-back: then Zenoh says that it knows nothing of it.
+just closing it; what cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a
+line for each connection, with which anybody who reaches a port could fill a log; as could who declares what it may not,
+and takes it back: then Zenoh says that it knows nothing of it.
 """
 
 _OF_DOORS = (
