@@ -217,8 +217,16 @@ class Rates:
 
     def epochs_for(self, name: str) -> int:
         """How many epochs a node has for a turn, until it is waited for or its next turn is due; at least one."""
-        delays = [self.delays.get(pair, 0) for pair in self.pairs if pair[1] == name]
-        return max(min(self.turns_of(name).every, *delays) if delays else 1, 1)
+        return self._epochs_for.get(name, 1)
+
+    @cached_property
+    def _epochs_for(self) -> Mapping[str, int]:
+        """By node that has some below."""
+        least: dict[str, int] = {}
+        for pair in self.pairs:
+            upper = pair[1]
+            least[upper] = min(least.get(upper, self.turns_of(upper).every), self.delays.get(pair, 0))
+        return {upper: max(epochs, 1) for upper, epochs in least.items()}
 
     def awaited(self, epoch: int) -> frozenset[str]:
         """The nodes before whose turns in it an epoch that is not drained cannot end: edges without delay lead from

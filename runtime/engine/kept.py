@@ -30,9 +30,7 @@ class KeptMessages:
 
     def forget(self, slot: Slot, before: int) -> None:
         """Those of the epochs before this one count no more."""
-        kept = self._slots[slot]
-        if kept:
-            _forget(kept, before)
+        _forget(self._slots[slot], before)
 
     def only(self, since: Mapping[Slot, int]) -> None:
         """Nothing is kept of other slots, nor what is of an epoch before these."""

@@ -14,30 +14,25 @@ class OwnRates:
 
     def __init__(self, rates: Rates, wiring: Wiring) -> None:
         node = wiring.node
-        name = node.name
+        name = self._name = node.name
         self.passes = rates.passes(name)  # the epochs of which it is told
-        self._turns = rates.turns_of(name)
-        self._first = rates.timing.since.get(name, 1)
         self._above = {slot: rates.edge(name, slot[0]) for slot in wiring.above}
         self._below = {lower: rates.edge(lower, name) for lower in node.below}
         self._told = tuple((upper, rates.passes(upper)) for upper in node.above)
-        self._above_turns = {upper: (rates.turns_of(upper), rates.timing.since.get(upper, 1)) for upper in node.above}
+        since = rates.timing.since
+        self._turns = {each: (rates.turns_of(each), since.get(each, 1)) for each in (name, *node.above)}
         self._gathered = frozenset(upper for upper in node.above if (name, upper) in rates.gathers)
         self._all = frozenset(node.above)
         self._tells_all = all(EVERY_EPOCH in passed for _, passed in self._told)
 
-    def take_part(self, epoch: int) -> bool:
-        """Whether an epoch is the node's turn."""
-        return self._turns.include(epoch) and epoch >= self._first
-
-    def takes_part_above(self, upper: str, epoch: int) -> bool:
-        """Whether an epoch is a turn of a neighbour above."""
-        turns, first = self._above_turns[upper]
+    def takes_part(self, name: str, epoch: int) -> bool:
+        """Whether an epoch is a turn of the node, or of a neighbour above."""
+        turns, first = self._turns[name]
         return turns.include(epoch) and epoch >= first
 
     def is_sensed(self, upper: str, epoch: int) -> bool:
         """Whether φ of the edge to a neighbour above is applied: in its turns; where that gathers, in the node's."""
-        return self.take_part(epoch) if upper in self._gathered else self.takes_part_above(upper, epoch)
+        return self.takes_part(self._name if upper in self._gathered else upper, epoch)
 
     def counting(self, epoch: int) -> dict[Slot, int]:
         """By slot, the epoch whose input from above counts in a turn of the node; 0: there is none yet."""

@@ -289,7 +289,7 @@ class RatedEngine(SayingEngine):
         super()._turn(epoch, attempt)
         self._coming.look_on(epoch)
         self._has_waited = False
-        self._takes_part = self._own.take_part(epoch)
+        self._takes_part = self._own.takes_part(self.name, epoch)
         self._counting = self._own.counting(epoch) if self._takes_part else {}
         self._told_above = self._own.told_above(epoch)
 

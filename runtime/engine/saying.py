@@ -81,7 +81,7 @@ class SayingEngine(Engine):
             oldest = self._own.counts_below(peer, header.epoch)
             for kind in (TASKS, CONTEXT) if self.wiring.task else (CONTEXT,):
                 self._unheard.forget(peer, kind, oldest, header.instance)
-        elif header.kind == CONTEXT and self._own.takes_part_above(peer, header.epoch):
+        elif header.kind == CONTEXT and self._own.takes_part(peer, header.epoch):
             self._unheard.forget(peer, OBSERVATIONS, header.epoch + 1, header.instance)
 
     def _tell_below(self) -> None:

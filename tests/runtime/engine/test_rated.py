@@ -145,7 +145,7 @@ def _forgets(engine: RatedEngine) -> None:
 
 
 def _senses_in_turns_alone(own: OwnRates, upper: str, epoch: int) -> bool:
-    return IS_SENSED(own, upper, epoch) and own.take_part(epoch)
+    return IS_SENSED(own, upper, epoch) and own.takes_part(own._name, epoch)
 
 
 def _counts_at_once(edge: EdgeRates, epoch: int) -> int:
@@ -164,7 +164,7 @@ MISTAKES = {
     "who has no turn is not observed": (OwnRates, "is_sensed", _senses_in_turns_alone),
     "delays are left out": (EdgeRates, "in_force", _counts_at_once),
     "all counts one epoch later": (EdgeRates, "in_force", _counts_one_later),
-    "every node takes part in every epoch": (OwnRates, "take_part", lambda *_: True),
+    "every node takes part in every epoch": (OwnRates, "takes_part", lambda *_: True),
 }
 
 
