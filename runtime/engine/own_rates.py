@@ -20,15 +20,16 @@ class OwnRates:
         self._below = {lower: rates.edge(lower, name) for lower in node.below}
         self._told = tuple((upper, rates.passes(upper)) for upper in node.above)
         since = rates.timing.since
-        self._turns = {each: (rates.turns_of(each), since.get(each, 1)) for each in (name, *node.above)}
+        turns = {each: rates.turns_of(each) for each in (name, *node.above)}
+        self._turns = {each: (its.every, its.offset, since.get(each, 1)) for each, its in turns.items()}
         self._gathered = frozenset(upper for upper in node.above if (name, upper) in rates.gathers)
         self._all = frozenset(node.above)
         self._tells_all = all(EVERY_EPOCH in passed for _, passed in self._told)
 
     def takes_part(self, name: str, epoch: int) -> bool:
         """Whether an epoch is a turn of the node, or of a neighbour above."""
-        turns, first = self._turns[name]
-        return turns.include(epoch) and epoch >= first
+        every, offset, first = self._turns[name]
+        return (epoch - offset) % every == 0 and epoch >= first
 
     def is_sensed(self, upper: str, epoch: int) -> bool:
         """Whether φ of the edge to a neighbour above is applied: in its turns; where that gathers, in the node's."""

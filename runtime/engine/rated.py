@@ -232,7 +232,7 @@ class RatedEngine(SayingEngine):
         self._say_what_it_lacks(header.sender)
 
     def compare(self, message: Message) -> None:
-        known = self._kept.of((message.header.sender, message.header.kind), message.header.epoch)
+        known = self._kept[message.header.sender, message.header.kind].get(message.header.epoch)
         if known is not None:
             self._check_same(known, message)
 
@@ -251,18 +251,16 @@ class RatedEngine(SayingEngine):
 
     def _keep(self, message: Message) -> None:
         header = message.header
-        slot = (header.sender, header.kind)
-        known = self._kept.of(slot, header.epoch)
-        if known is not None:
-            self._check_same(known, message)
-        elif self._is_wanted(header, slot):
-            self._kept.keep(slot, message)
+        slot, epoch = (header.sender, header.kind), header.epoch
+        kept = self._kept[slot]
+        if epoch in kept:
+            self._check_same(kept[epoch], message)
+        elif self._counting.get(slot) == epoch or self._is_wanted(header, slot):
+            kept[epoch] = message
 
     def _is_wanted(self, header: Header, slot: Slot) -> bool:
-        """Whether it may count yet."""
+        """Whether it may count yet, in a later epoch."""
         epoch = header.epoch
-        if self._counting.get(slot) == epoch:
-            return True
         if slot in self.wiring.below:
             return self._coming.include(epoch, DRAIN in header.extensions)
         return epoch >= self._own.oldest(slot, self.epoch)
@@ -306,22 +304,19 @@ class RatedEngine(SayingEngine):
         """Of whom there is no input with which the node could go on."""
         if self.phase is not Phase.DONE:
             return self._lacking_above()
-        return [slot for slot in self.wiring.below if not self._kept.has(slot, self._coming.epochs[0])]
+        return [slot for slot in self.wiring.below if self._coming.epochs[0] not in self._kept[slot]]
 
     def _lacking_above(self) -> list[Slot]:
-        lacking = self._not_in_force()
+        lacking = self._kept.lacking(self._counting)
         return lacking + self._under_way_above() if self.drains and not self._complete() else lacking
-
-    def _not_in_force(self) -> list[Slot]:
-        return [slot for slot, epoch in self._counting.items() if epoch and not self._kept.has(slot, epoch)]
 
     def _under_way_above(self) -> list[Slot]:
         """Of a drained epoch, who is not done with it; who has a part in a later one was, if by another process."""
-        return [slot for slot in self.wiring.above if slot[1] == CONTEXT and not self._kept.has(slot, self.epoch)]
+        return [slot for slot in self.wiring.above if slot[1] == CONTEXT and self.epoch not in self._kept[slot]]
 
     def _in_force(self, slot: Slot) -> Message:
         """What counts of a slot in this epoch: it has come, or there is none yet."""
-        found = self._kept.of(slot, self._counting[slot])
+        found = self._kept[slot].get(self._counting[slot])
         if found is not None:
             return found
         (sender, kind), instance = slot, self.wiring.above[slot]
@@ -383,7 +378,7 @@ class RatedEngine(SayingEngine):
 
     def _note_overruns(self) -> None:
         """Who above has not come to an end in the epochs that a delay gives it."""
-        for sender in {sender for sender, _ in self._not_in_force()}:
+        for sender in {sender for sender, _ in self._kept.lacking(self._counting)}:
             if (self.name, sender) in self._rates.delays:
                 self.overruns[sender] = self.overruns.get(sender, 0) + 1
 

@@ -1,30 +1,30 @@
 """What a node has said to its neighbours, for as long as one of them may lack it."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
+from hierax.runtime.core.digest import elements_cannot_travel
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.checkpoint import Forgotten
-from hierax.schemas.messages import Message, encode_message
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import KeptMessage, Message
 
 
 class SaidMessages:
     """Messages by receiver and kind, and there by epoch; one is encoded when the bytes of all are asked for, once."""
 
     def __init__(self, messages: Iterable[Message] = (), forgotten: Iterable[Forgotten] = ()) -> None:
-        self._messages: dict[Slot, dict[int, Message]] = {}
-        self._bytes: dict[Slot, dict[int, bytes]] = {}
+        self._messages: defaultdict[Slot, dict[int, KeptMessage]] = defaultdict(dict)
         self._forgotten: dict[Slot, Forgotten] = {(each[0], each[1]): each for each in forgotten}
         for message in messages:
             self.keep(message)
 
-    def keep(self, message: Message) -> None:
-        """One more. Where it is there of that epoch, as the node has come back and does it again, it says the same."""
+    def keep(self, message: Message) -> KeptMessage:
+        """One more, to be sent. Where it is there of that epoch, as the node has come back and does it again, it says
+        the same."""
         header = message.header
-        slot = (header.receiver, header.kind)
-        kept = self._messages.get(slot)
-        if kept is None:
-            kept, self._bytes[slot] = self._messages.setdefault(slot, {}), {}
-        kept[header.epoch] = message
+        kept = self._messages[header.receiver, header.kind][header.epoch] = KeptMessage(*message)
+        return kept
 
     def forget(self, receiver: str, kind: str, before: int, instance: int) -> None:
         """A neighbour, of this instance, will not ask any more for those of the epochs before this one."""
@@ -32,21 +32,19 @@ class SaidMessages:
         known = self._forgotten.get(slot)
         if known is None or known[2:] < (before, instance):
             self._forgotten[slot] = (receiver, kind, before, instance)
-        if kept := self._messages.get(slot):
-            self._drop(slot, [epoch for epoch in kept if epoch < before])
-
-    def _drop(self, slot: Slot, epochs: Iterable[int]) -> None:
-        for epoch in epochs:
-            del self._messages[slot][epoch]
-            self._bytes[slot].pop(epoch, None)
+        kept = self._messages[slot]
+        for epoch in tuple(kept):
+            if epoch < before:
+                del kept[epoch]
 
     def only(self, since: Mapping[str, int]) -> None:
         """What was said to these, from an epoch on; nothing was forgotten of who came later than the run began."""
         for slot in {*self._messages, *self._forgotten}:
             receiver = slot[0]
             first = since.get(receiver)
-            kept = self._messages.get(slot, {})
-            self._drop(slot, [epoch for epoch in kept if first is None or epoch < first])
+            kept = self._messages[slot]
+            for epoch in [epoch for epoch in kept if first is None or epoch < first]:
+                del kept[epoch]
             if slot in self._forgotten and (first is None or self._forgotten[slot][2] < first):
                 del self._forgotten[slot]
 
@@ -62,18 +60,18 @@ class SaidMessages:
         return sorted(found, key=lambda message: message.header.epoch)
 
     def encoded(self) -> tuple[bytes, ...]:
-        """All that any of them may lack."""
-        found: list[bytes] = []
-        for slot, kept in self._messages.items():
-            encoded = self._bytes[slot]
-            for epoch, message in kept.items():
-                data = encoded.get(epoch)
-                if data is None:
-                    data = encoded[epoch] = encode_message(message)
-                found.append(data)
-        return tuple(found)
+        """All that any of them may lack. Raises `OperatorError` if there is something that cannot travel."""
+        return tuple(_encoded(message) for kept in self._messages.values() for message in kept.values())
 
     @property
     def forgotten(self) -> tuple[Forgotten, ...]:
         """What neighbours do not ask for any more."""
         return tuple(self._forgotten.values())
+
+
+def _encoded(message: KeptMessage) -> bytes:
+    try:
+        return message.keep_encoded()
+    except SchemaError as error:
+        kind, sender, receiver, epoch = message.header[:4]
+        raise elements_cannot_travel(kind, sender, receiver, epoch, error) from error

@@ -103,8 +103,8 @@ class SayingEngine(Engine):
             self._effects.send(message)
 
     def _deliver(self, message: Message) -> None:
-        self._unheard.keep(message)
+        kept = self._unheard.keep(message)
         if self._unsent is None:
-            self._effects.send(message)
+            self._effects.send(kept)
         else:
-            self._unsent.append(message)
+            self._unsent.append(kept)

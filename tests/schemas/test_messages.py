@@ -15,7 +15,7 @@ from support.tagged import text
 from hierax.schemas import messages as schema
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import LARGE_ARRAY_BYTES, MAX_EXTENSIONS, MAX_NAME_CHARS
-from hierax.schemas.messages import Header, Message, decode_message, encode_message
+from hierax.schemas.messages import Header, KeptMessage, Message, decode_message, encode_message
 
 HEADER = Header("obs", "world", "arm", 1)
 FIELDS = [1, 0, "world", "arm", 1, 0, 0, 0, 0.0, b"", {}, []]
@@ -36,6 +36,24 @@ def test_messages_come_back(message: Message) -> None:
     assert type(back.header) is Header
     assert text(back) == text(message)
     assert encode_message(back) == data
+
+
+@given(messages())
+def test_kept_bytes_are_those_of_the_message(message: Message) -> None:
+    kept = KeptMessage(*message)
+    data = kept.keep_encoded()
+    assert data == encode_message(kept) == encode_message(message)
+    other = kept._replace(header=kept.header._replace(epoch=kept.header.epoch ^ 1))
+    assert encode_message(other) == encode_message(message._replace(header=other.header))
+
+
+def test_large_arrays_of_a_kept_message_are_lent() -> None:
+    kept = KeptMessage(HEADER, (np.zeros(LARGE),))
+    lent: list[np.ndarray] = []
+    assert len(kept.keep_encoded()) > LARGE_ARRAY_BYTES
+    data = encode_message(kept, lambda array: lent.append(array) or b"there")
+    assert len(lent) == 1
+    assert len(data) < LARGE_ARRAY_BYTES
 
 
 @given(messages())

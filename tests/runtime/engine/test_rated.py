@@ -17,15 +17,16 @@ from support.sweep import examples
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import encode_state
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.errors import ContradictionError
+from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.own_rates import OwnRates
 from hierax.runtime.engine.rated import RatedEngine
+from hierax.runtime.engine.said import SaidMessages
 from hierax.runtime.engine.wiring import Slot
-from hierax.schemas.messages import OBSERVATIONS, Message
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Header, Message
 from hierax.schemas.rates import EdgeRates, Rates, Turns, includes
 
 EPOCHS = 12
@@ -134,9 +135,16 @@ def test_two_messages_that_differ_are_noticed_while_the_first_may_count(seed: in
     raise AssertionError("no context was ever sent")
 
 
+def test_what_is_written_down_and_cannot_travel_names_its_edge_and_epoch() -> None:
+    said = SaidMessages()
+    said.keep(Message(Header(CONTEXT, "posture", "reflex", 5), (object(),)))
+    with pytest.raises(OperatorError, match=r"reflex->posture: context in epoch 5: .*a object cannot be sent"):
+        said.encoded()
+
+
 def _newest(engine: RatedEngine, slot: Slot) -> Message:
-    newest = engine._kept.of(slot, max(engine._kept._slots[slot], default=0))
-    return IN_FORCE(engine, slot) if newest is None else newest
+    kept = engine._kept[slot]
+    return kept[max(kept)] if kept else IN_FORCE(engine, slot)
 
 
 def _forgets(engine: RatedEngine) -> None:
