@@ -118,7 +118,7 @@ class Message(NamedTuple):
     payload: tuple[Value, ...]
 
 
-class KeptMessage(Message):
+class SaidMessage(Message):
     """A message that is written down and sent: its bytes are made once. What `_replace` makes of it has none yet."""
 
     data: bytes = b""  # empty: not yet made
@@ -133,7 +133,7 @@ class KeptMessage(Message):
 def encode_message(message: Message, lend: Lend | None = None) -> bytes:
     """The bytes of a message, with large arrays lent where `lend` can. Raises `SchemaError` if the payload holds
     something that cannot travel."""
-    if type(message) is KeptMessage and message.data and (lend is None or len(message.data) < LARGE_ARRAY_BYTES):
+    if type(message) is SaidMessage and message.data and (lend is None or len(message.data) < LARGE_ARRAY_BYTES):
         return message.data  # nothing in it is large enough to be lent
     (kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions), payload = message
     code = _KIND_CODES[kind]

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.messages import Message
@@ -25,10 +26,7 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
 
     def forget(self, slot: Slot, before: int) -> None:
         """Those of the epochs before this one count no more."""
-        kept = self[slot]
-        for epoch in tuple(kept):
-            if epoch < before:
-                del kept[epoch]
+        drop_before(self[slot], before)
 
     def only(self, since: Mapping[Slot, int]) -> None:
         """Nothing is kept of other slots, nor what is of an epoch before these."""
@@ -43,3 +41,10 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
         if self[slot]:
             self.forget(slot, epoch)
         return message
+
+
+def drop_before(messages: dict[int, Any], before: int) -> None:
+    """Of messages by epoch those of the epochs before this one."""
+    for epoch in tuple(messages):
+        if epoch < before:
+            del messages[epoch]

@@ -4,26 +4,27 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 from hierax.runtime.core.digest import elements_cannot_travel
+from hierax.runtime.engine.kept import drop_before
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.checkpoint import Forgotten
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import KeptMessage, Message
+from hierax.schemas.messages import Message, SaidMessage
 
 
 class SaidMessages:
     """Messages by receiver and kind, and there by epoch; one is encoded when the bytes of all are asked for, once."""
 
     def __init__(self, messages: Iterable[Message] = (), forgotten: Iterable[Forgotten] = ()) -> None:
-        self._messages: defaultdict[Slot, dict[int, KeptMessage]] = defaultdict(dict)
+        self._messages: defaultdict[Slot, dict[int, SaidMessage]] = defaultdict(dict)
         self._forgotten: dict[Slot, Forgotten] = {(each[0], each[1]): each for each in forgotten}
         for message in messages:
             self.keep(message)
 
-    def keep(self, message: Message) -> KeptMessage:
+    def keep(self, message: Message) -> SaidMessage:
         """One more, to be sent. Where it is there of that epoch, as the node has come back and does it again, it says
         the same."""
         header = message.header
-        kept = self._messages[header.receiver, header.kind][header.epoch] = KeptMessage(*message)
+        kept = self._messages[header.receiver, header.kind][header.epoch] = SaidMessage(*message)
         return kept
 
     def forget(self, receiver: str, kind: str, before: int, instance: int) -> None:
@@ -32,19 +33,17 @@ class SaidMessages:
         known = self._forgotten.get(slot)
         if known is None or known[2:] < (before, instance):
             self._forgotten[slot] = (receiver, kind, before, instance)
-        kept = self._messages[slot]
-        for epoch in tuple(kept):
-            if epoch < before:
-                del kept[epoch]
+        drop_before(self._messages[slot], before)
 
     def only(self, since: Mapping[str, int]) -> None:
         """What was said to these, from an epoch on; nothing was forgotten of who came later than the run began."""
         for slot in {*self._messages, *self._forgotten}:
             receiver = slot[0]
             first = since.get(receiver)
-            kept = self._messages[slot]
-            for epoch in [epoch for epoch in kept if first is None or epoch < first]:
-                del kept[epoch]
+            if first is None:
+                self._messages.pop(slot, None)
+            else:
+                drop_before(self._messages[slot], first)
             if slot in self._forgotten and (first is None or self._forgotten[slot][2] < first):
                 del self._forgotten[slot]
 
@@ -69,7 +68,7 @@ class SaidMessages:
         return tuple(self._forgotten.values())
 
 
-def _encoded(message: KeptMessage) -> bytes:
+def _encoded(message: SaidMessage) -> bytes:
     try:
         return message.keep_encoded()
     except SchemaError as error:

@@ -15,7 +15,7 @@ from support.tagged import text
 from hierax.schemas import messages as schema
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import LARGE_ARRAY_BYTES, MAX_EXTENSIONS, MAX_NAME_CHARS
-from hierax.schemas.messages import Header, KeptMessage, Message, decode_message, encode_message
+from hierax.schemas.messages import Header, Message, SaidMessage, decode_message, encode_message
 
 HEADER = Header("obs", "world", "arm", 1)
 FIELDS = [1, 0, "world", "arm", 1, 0, 0, 0, 0.0, b"", {}, []]
@@ -40,7 +40,7 @@ def test_messages_come_back(message: Message) -> None:
 
 @given(messages())
 def test_kept_bytes_are_those_of_the_message(message: Message) -> None:
-    kept = KeptMessage(*message)
+    kept = SaidMessage(*message)
     data = kept.keep_encoded()
     assert data == encode_message(kept) == encode_message(message)
     other = kept._replace(header=kept.header._replace(epoch=kept.header.epoch ^ 1))
@@ -48,7 +48,7 @@ def test_kept_bytes_are_those_of_the_message(message: Message) -> None:
 
 
 def test_large_arrays_of_a_kept_message_are_lent() -> None:
-    kept = KeptMessage(HEADER, (np.zeros(LARGE),))
+    kept = SaidMessage(HEADER, (np.zeros(LARGE),))
     lent: list[np.ndarray] = []
     assert len(kept.keep_encoded()) > LARGE_ARRAY_BYTES
     data = encode_message(kept, lambda array: lent.append(array) or b"there")

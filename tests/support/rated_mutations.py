@@ -8,7 +8,7 @@ from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.said import SaidMessages
 from hierax.schemas.checkpoint import encode_under_way
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, KeptMessage, Message
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message, SaidMessage
 
 FORGET, SAY = RatedEngine._forget, RatedEngine._say_what_it_lacks
 GATHER = RatedEngine._gather
@@ -29,8 +29,8 @@ def _forgets_what_was_observed(engine: RatedEngine, header: Header) -> None:
         engine._unheard.forget(header.sender, OBSERVATIONS, header.epoch + 2, header.instance)
 
 
-def _forgets_all(messages: SaidMessages, message: Message) -> KeptMessage:
-    return KeptMessage(*message)
+def _forgets_all(messages: SaidMessages, message: Message) -> SaidMessage:
+    return SaidMessage(*message)
 
 
 def _nothing_under_way(engine: RatedEngine) -> bytes:
