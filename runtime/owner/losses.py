@@ -72,8 +72,11 @@ class Losses(OwnerPart):
                 del self.members.ended[name, process]
                 self._on_lost(name, process, restarts=True)
         for name in list(self.members.lost):
-            if self.members.is_late(name):
-                self._give_up(name, "it did not come back in time (rejoin_timeout)")
+            self._give_up_late(name)
+
+    def _give_up_late(self, name: str) -> None:
+        if self.members.is_late(name):
+            self._give_up(name, "it did not come back in time (rejoin_timeout)")
 
     def _stays_away(self, name: str) -> bool:
         return name in self.members.lost and not self.members.comes_back(name)
@@ -88,6 +91,7 @@ class Losses(OwnerPart):
             if newcomer == process:
                 del members.newcomers[other, key]
                 self._on_newcomer_lost(key, name)
+                self._give_up_late(other)  # at once: the next one may be here before the next tick, again and again
         if members.processes.get(name) != process:
             plan = planning.plan
             if plan is not None and plan.processes.get(name) == process:

@@ -544,6 +544,18 @@ def test_on_loss() -> None:
     assert "it did not come back in time" in why
 
 
+def test_one_whose_processes_come_back_and_die_each_time_is_given_up_all_the_same() -> None:
+    """No tick need see it between one process and the next: it is held for no longer than `rejoin_timeout`."""
+    settings = OwnerPolicy(on_loss={"high": "detach"}, rejoin_timeout_s={"high": 1.0})
+    owned = begun(settings=settings)
+    assert prepares(owned.hear(Lost("high", "high.1", True), join("high.2", 0)))
+    owned.now = 1.1
+    calls = owned.hear(Lost("high", "high.2", True), join("high.3", 0))
+    assert prepares(calls) == ["low.1", "world.1"], "high is detached"
+    assert owned.ready(2, "low.1", "world.1")[0] == ("begin", 1, 1, 2)
+    assert set(owned.owner.members.roster.nodes) == {"world", "low"}
+
+
 def attached_alone() -> Owned:
     """One to which `top` was attached above `low`, and fails alone; in the first epoch with it."""
     owned = begun()
