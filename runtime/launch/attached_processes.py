@@ -275,6 +275,7 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         period_ms=_field(order, "period_ms", float, int, type(None)),
         rated=_field(order, "rated", bool),
         hub=here.endpoint,
+        doors=None if _field(order, "doors", tuple, list, type(None)) is None else (),
         host=here.host,
         settings=here.settings,
         secret=_secret(order, here),

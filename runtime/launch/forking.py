@@ -5,6 +5,7 @@ each with the file descriptors that are for the new process: a socket for its nu
 standard streams, and that of the console. Started by `hierax.runtime.launch.fork_server`, never by hand."""
 
 import gc
+import inspect
 import os
 import select
 import socket
@@ -12,6 +13,8 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
+
+import anyio
 
 from hierax.runtime.launch import node_process
 from hierax.runtime.launch.fork_server import DESCRIPTORS, FORK, NUMBER
@@ -27,6 +30,8 @@ def main() -> None:
     """Fork until nobody is at the line's other end any more, and all that were forked have ended."""
     line = socket.socket(fileno=int(sys.argv.pop()))
     line.set_inheritable(False)
+    anyio.run(anyio.sleep, 0)  # has it import its event loop's parts, 40 ms of work for each node's process else
+    inspect.signature(object)  # likewise the patterns with which signatures are read
     gc.collect()
     gc.freeze()  # so that no page is copied because the collector has looked at it
     living: Living = {}

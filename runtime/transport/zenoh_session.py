@@ -30,6 +30,11 @@ LOOPBACK = (
     f"tcp/{OWN_ADDRESS}:0"  # where a session listens unless told otherwise: a free port that no other machine reaches
 )
 
+Links: TypeAlias = Literal["shared", "all", "told"]
+"""To whom a peer opens links: `all` it hears of; of these the ones that do not open it to this one, where all others do
+the same, so that the work is `shared` (else both do, and one of the two links is closed again); or only to whom it is
+`told` to connect."""
+
 ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
 
@@ -107,7 +112,8 @@ def open_session(
     connect: Sequence[str] = (),  # likewise
     zenoh_config: ZenohConfig = None,  # Zenoh's own; it wins over ours, and over the file that ZENOH_CONFIG names
     shared_memory: bool = True,  # whether large messages may go through shared memory
-    mode: Literal["peer", "client"] = "peer",  # a ``peer`` links to all it hears of; a ``client`` as it connects
+    mode: Literal["peer", "client"] = "peer",  # a ``client`` links as it connects, a ``peer`` by `links` too
+    links: Links = "shared",
     # Links to others that want the same are written to at once, by the thread that sends, without priorities. They
     # carry messages of up to `LOW_LATENCY_BYTES`, and whoever sends to a peer that reads no more waits as soon as the
     # buffers between them are full. Links to others are as ever.
@@ -127,10 +133,10 @@ def open_session(
         "connect/retry": {"period_init_ms": 10, "period_max_ms": 200, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
-        # one of two peers opens the link: else both do, and one of the two links is closed again; where one of them
-        # listens nowhere, it has to be that one
+        "scouting/gossip/autoconnect": {"router": [], "peer": [] if links == "told" else ["router", "peer"]},
+        # where one of two listens nowhere, it has to be that one
         "scouting/gossip/autoconnect_strategy": {
-            "peer": {"to_router": "always", "to_peer": "greater-zid" if listen else "always"}
+            "peer": {"to_router": "always", "to_peer": "greater-zid" if listen and links == "shared" else "always"}
         },
         "scouting/delay": 0,
         "transport/link/tx/lease": LEASE_MS,
@@ -261,6 +267,16 @@ def endpoint_at(host: str | None = None, secret: str = "", port: int = 0) -> str
             raise TransportError(f"{address} is no address that others could link to; expected one of this machine's")
         address = f"[{address}]" if ":" in address else address
     return f"{'tls' if certificates_of(secret) else 'tcp'}/{address}:{port}"
+
+
+def door_at(path: str) -> str:
+    """The endpoint of a socket of this machine's, where a session listens."""
+    return f"unixsock-stream/{path}"
+
+
+def knocking_at(path: str) -> str:
+    """The same for a session that connects to it as soon as somebody listens, and again when the link broke."""
+    return f"{door_at(path)}#exit_on_failure=false"
 
 
 def address_of(endpoint: str) -> tuple[str, int]:

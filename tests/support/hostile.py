@@ -33,7 +33,7 @@ class Stranger:
 
     def __init__(self, endpoint: str, keys: Keys, kept: int = KEPT, secret: str = "") -> None:
         self.keys = keys
-        self.session = open_session(connect=[endpoint], shared_memory=False, secret=secret)
+        self.session = open_session(connect=[endpoint], shared_memory=False, links="all", secret=secret)
         self.heard: deque[tuple[str, bytes]] = deque(maxlen=kept)
         self._changed = threading.Event()
         self._ear = self.session.declare_subscriber(keys.everything, self._on_sample)

@@ -35,7 +35,7 @@ def main() -> None:
     with LaunchClient(endpoint, secret=order["secret"]) as client:
         run = client.ask({"ask": "ps"})
     keys = Keys(run["hierarchy"], run["run"])
-    session = open_session(connect=[endpoint], shared_memory=False, secret=order["secret"])
+    session = open_session(connect=[endpoint], shared_memory=False, links="all", secret=order["secret"])
     processes = {name: node["process"] for name, node in run["nodes"].items()}
     refusals: list[str] = []
     try:

@@ -1,0 +1,48 @@
+"""Which processes of a launch link to one another: those of neighbours, and each to the world's.
+
+Where every process links to all it hears of, as Zenoh's peers do, a launch of 64 has two thousand links, each of which
+costs some milliseconds to open. So processes that begin with the run, on one machine and without certificates, each
+have a door, which is a socket in the run's folder, and link to the doors that they are told of; an edge's upper one
+links to the lower one's. Who comes later knows of no doors, and links to all it hears of."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from hierax.schemas.roster import Roster
+
+MOST_PATH_BYTES = 100  # the kernel takes 107 of a socket's, and Zenoh puts a lock beside it
+
+
+class Doors(NamedTuple):
+    """The door of a process, and those of others that it links to, by their paths."""
+
+    own: str
+    others: tuple[str, ...]
+
+
+NO_DOORS = Doors("", ())
+
+
+def doors_of(roster: Roster, processes: Mapping[str, Sequence[str]], folder: Path) -> dict[str, Doors]:
+    """The doors of all processes, by their names; none, where sockets cannot be named in this folder.
+
+    Args:
+        roster: with which the run begins.
+        processes: the nodes of each process.
+        folder: of the run, which others cannot enter.
+    """
+    paths = {name: str(folder / f"{number}.door") for number, name in enumerate(sorted(processes))}
+    if any(len(path.encode()) > MOST_PATH_BYTES for path in paths.values()):
+        return {}
+    home = {node: name for name, nodes in processes.items() for node in nodes}
+    world = home[roster.world]
+    linked = {name: {world} for name in processes}
+    for lower, upper in roster.pairs:
+        if home[upper] != world:
+            linked[home[upper]].add(home[lower])
+    return {name: Doors(paths[name], tuple(_paths(linked[name] - {name}, paths))) for name in processes}
+
+
+def _paths(names: Iterable[str], paths: Mapping[str, str]) -> list[str]:
+    return [paths[name] for name in sorted(names)]
