@@ -5,7 +5,7 @@ costs some milliseconds to open. So processes that begin with the run, on one ma
 have a door, which is a socket in the run's folder, and link to the doors that they are told of; an edge's upper one
 links to the lower one's. Who comes later knows of no doors, and links to all it hears of."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,12 +37,9 @@ def doors_of(roster: Roster, processes: Mapping[str, Sequence[str]], folder: Pat
         return {}
     home = {node: name for name, nodes in processes.items() for node in nodes}
     world = home[roster.world]
-    linked = {name: {world} for name in processes}
-    for lower, upper in roster.pairs:
-        if home[upper] != world:
-            linked[home[upper]].add(home[lower])
-    return {name: Doors(paths[name], tuple(_paths(linked[name] - {name}, paths))) for name in processes}
-
-
-def _paths(names: Iterable[str], paths: Mapping[str, str]) -> list[str]:
-    return [paths[name] for name in sorted(names)]
+    others = {name: {world} - {name} for name in processes}
+    for pair in roster.pairs:
+        one, other = sorted((home[name] for name in pair), key=lambda name: (name != world, name))
+        if one != other:
+            others[other].add(one)
+    return {name: Doors(paths[name], tuple(paths[each] for each in sorted(others[name]))) for name in processes}

@@ -1,0 +1,52 @@
+"""Doors: processes of a launch link to those of their neighbours, and of the world."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from support.live import Live
+from support.rosters import random_roster
+
+from hierax.runtime.launch.doors import MOST_PATH_BYTES, doors_of
+from hierax.schemas.roster import Roster
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_each_edge_and_each_way_to_the_world_is_one_link(seed: int) -> None:
+    rng = random.Random(seed)
+    roster = random_roster(rng)
+    processes: dict[str, list[str]] = {}
+    for name in sorted(roster.nodes):
+        processes.setdefault(f"p{rng.randrange(4)}", []).append(name)
+    doors = doors_of(roster, processes, Path("/run"))
+    links = [frozenset((each.own, other)) for each in doors.values() for other in each.others]
+    assert len(links) == len(set(links))
+    assert set(links) == {frozenset(doors[name].own for name in pair) for pair in wanted(roster, processes)}
+
+
+def wanted(roster: Roster, processes: dict[str, list[str]]) -> set[frozenset[str]]:
+    """The processes between which there has to be a link."""
+    home = {node: name for name, nodes in processes.items() for node in nodes}
+    pairs = [*roster.pairs, *((roster.world, name) for name in roster.nodes)]
+    return {pair for one, other in pairs if len(pair := frozenset((home[one], home[other]))) == 2}
+
+
+def test_where_paths_are_too_long_for_sockets_there_are_none() -> None:
+    roster = random_roster(random.Random(1))
+    processes = {name: [name] for name in roster.nodes}
+    assert doors_of(roster, processes, Path("/" + "x" * (MOST_PATH_BYTES - len("/0.door") - 1)))
+    assert doors_of(roster, processes, Path("/" + "x" * (MOST_PATH_BYTES - len("/0.door")))) == {}
+
+
+def test_those_of_a_launch_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    live = Live(tmp_path)
+    try:
+        live.goes_on()
+        folder = tmp_path / "hierax" / "runs" / live.run["run"]
+        heard = {path for line in Path("/proc/net/unix").read_text().splitlines() if (path := line.split()[-1])}
+        assert {str(folder / f"{number}.door") for number in range(len(live.run["nodes"]))} <= heard
+    finally:
+        live.close()
