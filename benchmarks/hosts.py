@@ -63,7 +63,7 @@ def launched(far: FarHosts, folder: Path, hierarchy: str, epochs: int, place: di
     for way, file, disturb in ways:
         begun_s = time.monotonic()
         program = Program(("launch", file, *arguments), environment(folder), far.namespaces[DESK])
-        until(lambda: program.process.poll() is not None or committed(far, folder) > epochs // 10)
+        until(lambda process=program.process: process.poll() is not None or committed(far, folder) > epochs // 10)
         disturb(far)
         assert program.ends() == 0, program.err
         report: dict[str, Any] = json.loads("".join(program.out))
