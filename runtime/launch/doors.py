@@ -2,9 +2,12 @@
 
 Where every process links to all it hears of, as Zenoh's peers do, a launch of 64 has two thousand links, each of which
 costs some milliseconds to open. So processes that begin with the run, on one machine and without certificates, each
-have a door, which is a socket in the run's folder, and link to the doors that they are told of; an edge's upper one
-links to the lower one's. Who comes later knows of no doors, and links to all it hears of."""
+have a door, which is a socket in the run's folder, and link to the doors that they are told of: of two, one links to
+the other's. Who comes later knows of no doors, and links to all it hears of."""
 
+import os
+import re
+import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +15,8 @@ from typing import NamedTuple
 from hierax.schemas.roster import Roster
 
 MOST_PATH_BYTES = 100  # the kernel takes 107 of a socket's, and Zenoh puts a lock beside it
+
+_PLAIN = re.compile(r"[\w./@+~-]+")  # other characters may mean something in an endpoint of Zenoh's
 
 
 class Doors(NamedTuple):
@@ -25,7 +30,7 @@ NO_DOORS = Doors("", ())
 
 
 def doors_of(roster: Roster, processes: Mapping[str, Sequence[str]], folder: Path) -> dict[str, Doors]:
-    """The doors of all processes, by their names; none, where sockets cannot be named in this folder.
+    """The doors of all processes, by their names; none, where this folder cannot hold any.
 
     Args:
         roster: with which the run begins.
@@ -33,7 +38,7 @@ def doors_of(roster: Roster, processes: Mapping[str, Sequence[str]], folder: Pat
         folder: of the run, which others cannot enter.
     """
     paths = {name: str(folder / f"{number}.door") for number, name in enumerate(sorted(processes))}
-    if any(len(path.encode()) > MOST_PATH_BYTES for path in paths.values()):
+    if not _holds_sockets(folder, max(paths.values(), key=len)):
         return {}
     home = {node: name for name, nodes in processes.items() for node in nodes}
     world = home[roster.world]
@@ -43,3 +48,17 @@ def doors_of(roster: Roster, processes: Mapping[str, Sequence[str]], folder: Pat
         if one != other:
             others[other].add(one)
     return {name: Doors(paths[name], tuple(paths[each] for each in sorted(others[name]))) for name in processes}
+
+
+def _holds_sockets(folder: Path, longest: str) -> bool:
+    """Whether sockets can be made there, which is not so on all file systems, and be told to Zenoh by their paths."""
+    if len(longest.encode()) > MOST_PATH_BYTES or not _PLAIN.fullmatch(longest):
+        return False
+    probe = folder / "d"
+    try:
+        with socket.socket(socket.AF_UNIX) as tried:
+            tried.bind(str(probe))
+            os.unlink(probe)
+    except OSError:
+        return False
+    return True

@@ -140,12 +140,12 @@ class Orders:
     def _doors(self) -> Mapping[str, Doors]:
         """Of processes that begin with the run; none where links are as Zenoh's settings say, or to other machines, or
         where some of the processes may not know of them."""
-        deployment, folder = self.deployment, run_folder(self.run_id)
+        deployment = self.deployment
         settings = deployment.zenoh or os.environ.get("ZENOH_CONFIG")
-        if settings or deployment.hosts or self.options.host or self.resumes or not folder.is_dir():
+        if settings or deployment.hosts or self.options.host or self.resumes:
             return {}
         roster = deployment.roster
-        return doors_of(roster, self.together(roster.nodes), folder)
+        return doors_of(roster, self.together(roster.nodes), run_folder(self.run_id))
 
     def together(self, names: Iterable[str]) -> dict[str, list[str]]:
         """The nodes of each process, by its name; a process of one node has the node's."""
