@@ -5,7 +5,8 @@
 
 A star is a world that so many nodes sense; a chain has so many nodes in all. Ours are the nodes of `chain`, with
 checkpoints and digests; the rival's are callbacks that pack and unpack as much with msgpack, on the same kind of
-publishers (`hierax.runtime.bench.bare_chain`). Both take turns; ratios are of the medians of a round.
+publishers (`hierax.runtime.bench.bare_chain`), linked along edges alone, as ours are. Both take turns; ratios are of
+the medians of a round.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import json
 import statistics
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Sequence
@@ -27,7 +29,7 @@ from growth import FANOUT, hierarchy
 
 from hierax.runtime.bench.bare_chain import Chain
 from hierax.runtime.launch.supervisor import launch
-from hierax.runtime.transport.zenoh_session import close_session, free_endpoint
+from hierax.runtime.transport.zenoh_session import close_session, door_at, knocking_at
 
 WARM_UP = 0.2  # share of the epochs, at the beginning of each run, that is not counted
 TIMEOUT_S = 600.0
@@ -39,9 +41,9 @@ BELOW = {"star": lambda number: 0, "chain": lambda number: number - 1, "tree": l
 # --- the rival: a process for each node, by its number; the world is 0
 
 
-def bare_node(number: int, above: Sequence[int], below: int | None, endpoints: Sequence[str], epochs: int) -> None:
+def bare_node(number: int, above: Sequence[int], below: int | None, doors: Sequence[str], epochs: int) -> None:
     """One process: it passes what comes up on to all above, and, when all have answered, something down."""
-    chain = Chain(endpoints[number], "" if below is None else endpoints[below])
+    chain = Chain(door_at(doors[number]), "" if below is None else knocking_at(doors[below]))
     up = [chain.publisher(f"bare/up/{upper}") for upper in above]
     down = None if below is None else chain.publisher(f"bare/down/{number}")
     answered: set[int] = set()
@@ -97,13 +99,14 @@ def bare_node(number: int, above: Sequence[int], below: int | None, endpoints: S
 
 def bare(shape: str, size: int, epochs: int) -> list[float]:
     """How long epochs of the rival took, in µs."""
-    endpoints = [free_endpoint() for _ in range(size)]
     below = [None, *(BELOW[shape](number) for number in range(1, size))]
     with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        doors = [f"{folder}/{number}" for number in range(size)]
         processes = []
         for number in range(size - 1, -1, -1):
             above = [upper for upper in range(size) if below[upper] == number]
-            order = json.dumps([number, above, below[number], endpoints, epochs])
+            order = json.dumps([number, above, below[number], doors, epochs])
             command = [sys.executable, __file__, "--bare", order]
             process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
             stack.callback(process.wait)

@@ -35,6 +35,7 @@ class Chain:
         self.session = open_session(
             [listen or LOOPBACK],
             [connect] if connect else [],
+            links="told",
             shared_memory=links == SHARED,
             low_latency=links == LOW_LATENCY,
         )

@@ -100,6 +100,8 @@ class NodeOrder:
     rated: bool = False  # whether nodes may take part in some epochs only
     scheduling: Mapping[str, Value] | None = None  # how the system is asked to run the node's thread
     hub: str  # endpoint of the supervisor, through which the processes find one another
+    door: str = ""  # path of the socket where the run's other processes link to this one; empty: it has none
+    doors: tuple[str, ...] = ()  # those that it links to
     host: str  # address of the process's machine at which others may link; empty: this machine's processes only
     secret: str = field(default="", repr=False)  # of the run, or as `admitted` gives it; empty: it is open
     lifetime_s: float | None = None  # how long its certificate holds; None: as long as the run

@@ -1,7 +1,9 @@
 """What the processes of a launch are started with."""
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,10 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.secrets import public_settings
 from hierax.runtime.execution.world_member import has_record, read_record
+from hierax.runtime.host.run_folder import run_folder
 from hierax.runtime.host.run_secret import certificates_of, end_of, issued
-from hierax.runtime.launch.frames import COME_BACK, NodeOrder
+from hierax.runtime.launch.doors import NO_DOORS, Doors, doors_of
+from hierax.runtime.launch.frames import BEGIN, COME_BACK, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -89,6 +93,7 @@ class Orders:
         reference = reference or deployment.roster.nodes.get(name)
         is_world = name == deployment.roster.world
         terms = terms or self.terms(name)
+        doors = self._doors.get(shares or name, NO_DOORS) if life == BEGIN else NO_DOORS
         lineage = f"{name}@{request}" if request else self._lineages.get(name, name)
         return NodeOrder(
             name=name,
@@ -111,6 +116,8 @@ class Orders:
             rated=deployment.roster.timing is not None,
             scheduling=terms.scheduling,
             hub=self.hub,
+            door=doors.own,
+            doors=doors.others,
             host=self.options.host or "",
             secret=self.secret,
             access=self.access if certificates_of(self.secret) else None,
@@ -128,6 +135,17 @@ class Orders:
             alone=tuple(sorted(name for name, each in deployment.terms.items() if each.fails_alone)),
             recorded=self._is_recorded(),
         )
+
+    @cached_property
+    def _doors(self) -> Mapping[str, Doors]:
+        """Of processes that begin with the run; none where links are as Zenoh's settings say, or to other machines, or
+        where some of the processes may not know of them."""
+        deployment = self.deployment
+        settings = deployment.zenoh or os.environ.get("ZENOH_CONFIG")
+        if settings or deployment.hosts or self.options.host or self.resumes:
+            return {}
+        roster = deployment.roster
+        return doors_of(roster, self.together(roster.nodes), run_folder(self.run_id))
 
     def together(self, names: Iterable[str]) -> dict[str, list[str]]:
         """The nodes of each process, by its name; a process of one node has the node's."""

@@ -9,7 +9,16 @@ from typing import Any
 from hierax.runtime.launch.frames import NodeOrder
 from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.shared_process import Neighbours
-from hierax.runtime.transport.zenoh_session import LINGER_S, await_links, close_session, endpoint_at, open_session
+from hierax.runtime.transport.zenoh_session import (
+    LINGER_S,
+    Links,
+    await_links,
+    close_session,
+    door_at,
+    endpoint_at,
+    knocking_at,
+    open_session,
+)
 from hierax.schemas.keys import Keys
 
 
@@ -58,7 +67,17 @@ def _opened(order: NodeOrder) -> Any:
     access = None
     if order.access is not None:
         access = access_control(Keys(order.deployment, order.run), order.access)
-    listen, low_latency = [endpoint_at(order.host, order.secret)], order.low_latency
+    listen, connect = [endpoint_at(order.host, order.secret)], [order.hub]
+    links: Links = "told" if order.door else "all"
+    if order.door:
+        listen.append(door_at(order.door))
+        connect += map(knocking_at, order.doors)
     return open_session(
-        listen, [order.hub], order.settings, low_latency=low_latency, secret=order.secret, access=access
+        listen,
+        connect,
+        order.settings,
+        links=links,
+        low_latency=order.low_latency,
+        secret=order.secret,
+        access=access,
     )

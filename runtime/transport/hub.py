@@ -151,7 +151,7 @@ class Hub:
 
     def _open(self, endpoint: str, connect: Sequence[str] = ()) -> zenoh.Session:
         config, secret, access = self._zenoh_config, self.secret, self._access
-        return open_session([endpoint], connect, config, False, secret=secret, role=LAUNCH, access=access)
+        return open_session([endpoint], connect, config, False, links="told", secret=secret, role=LAUNCH, access=access)
 
 
 def _epoch_listener(progress: Callable[[int, bytes], None]) -> Callable[[zenoh.Sample], None]:

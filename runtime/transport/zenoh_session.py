@@ -8,6 +8,7 @@ import json
 import os
 import re
 import resource
+import secrets
 import shutil
 import socket
 import threading
@@ -29,6 +30,13 @@ OWN_ADDRESS = "127.0.0.1"  # where this machine alone reaches itself
 LOOPBACK = (
     f"tcp/{OWN_ADDRESS}:0"  # where a session listens unless told otherwise: a free port that no other machine reaches
 )
+
+Links: TypeAlias = Literal["all", "told"]
+"""To whom a peer has links: `all` it hears of, or only whom it is `told` to connect to and who connect to it.
+
+Of two it is always one that opens the link, the one with the greater id as Zenoh compares them. Where both do, each may
+close the one that the other keeps: among five that came at once, that left two unlinked for good in half of all tries.
+So those that are told have ids that are smaller than those that Zenoh draws."""
 
 ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
@@ -95,6 +103,8 @@ _ADMISSION = "transport/auth/usrpwd"
 ENCRYPTION = "transport/link/tls"
 _ACCESS = "access_control"
 
+_ID_FROM = 1 << 62  # so that the first digit of what follows is not 0, which Zenoh refuses
+
 _SHARED_MEMORY = Path("/dev/shm")
 _IPC_LOCK = 14  # the capability with which limits on locked memory do not count
 
@@ -107,7 +117,8 @@ def open_session(
     connect: Sequence[str] = (),  # likewise
     zenoh_config: ZenohConfig = None,  # Zenoh's own; it wins over ours, and over the file that ZENOH_CONFIG names
     shared_memory: bool = True,  # whether large messages may go through shared memory
-    mode: Literal["peer", "client"] = "peer",  # a ``peer`` links to all it hears of; a ``client`` as it connects
+    mode: Literal["peer", "client"] = "peer",  # a ``client`` links as it connects, a ``peer`` by `links` too
+    links: Links = "all",
     # Links to others that want the same are written to at once, by the thread that sends, without priorities. They
     # carry messages of up to `LOW_LATENCY_BYTES`, and whoever sends to a peer that reads no more waits as soon as the
     # buffers between them are full. Links to others are as ever.
@@ -127,8 +138,8 @@ def open_session(
         "connect/retry": {"period_init_ms": 10, "period_max_ms": 200, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
-        # one of two peers opens the link: else both do, and one of the two links is closed again; where one of them
-        # listens nowhere, it has to be that one
+        "scouting/gossip/autoconnect": {"router": [], "peer": [] if links == "told" else ["router", "peer"]},
+        # where one of two listens nowhere, it has to be that one
         "scouting/gossip/autoconnect_strategy": {
             "peer": {"to_router": "always", "to_peer": "greater-zid" if listen else "always"}
         },
@@ -137,6 +148,8 @@ def open_session(
         "transport/link/rx/max_message_size": LONGEST_SHORT_BYTES if low_latency else LONGEST_BYTES,
         "transport/shared_memory/enabled": shared_memory and not shared_memory_fault(),
     }
+    if links == "told":
+        ours["id"] = _small_id()
     if low_latency:
         ours["transport/unicast/qos/enabled"] = False  # Zenoh has one or the other
     try:
@@ -153,6 +166,11 @@ def open_session(
     except zenoh.ZError as error:  # whose own words may quote a password
         lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
         raise TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))) from None
+
+
+def _small_id() -> str:
+    """An id that is smaller than what Zenoh draws: it compares the last of the bytes that are written here first."""
+    return f"{_ID_FROM + secrets.randbelow(_ID_FROM):x}{0:016x}"
 
 
 def encrypted(secret: str, access: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -261,6 +279,16 @@ def endpoint_at(host: str | None = None, secret: str = "", port: int = 0) -> str
             raise TransportError(f"{address} is no address that others could link to; expected one of this machine's")
         address = f"[{address}]" if ":" in address else address
     return f"{'tls' if certificates_of(secret) else 'tcp'}/{address}:{port}"
+
+
+def door_at(path: str) -> str:
+    """The endpoint of a socket of this machine's, where a session listens."""
+    return f"unixsock-stream/{path}"
+
+
+def knocking_at(path: str) -> str:
+    """The same for a session that connects to it as soon as somebody listens, and again when the link broke."""
+    return f"{door_at(path)}#exit_on_failure=false"
 
 
 def address_of(endpoint: str) -> tuple[str, int]:

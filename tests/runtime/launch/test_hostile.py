@@ -122,6 +122,7 @@ def test_a_dismissal_of_a_process_that_is_kept_elsewhere_is_asked_about(live: Li
     keeper = live.start("attach", path, "--here", "--deployment", str(live.file))
     first = int(keeper.says("attached top at epoch").split()[-1])
     token = live.run["nodes"]["top"]["process"]
+    stranger.reaches(stranger.keys.control(token))
     stranger.say(token, Dismiss("go away"))
     keeper.says("somebody has dismissed its process, and not the launch; it is started again")
     until(lambda: live.run["nodes"].get("top", {}).get("process") not in (None, token), "another process")

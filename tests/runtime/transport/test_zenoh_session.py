@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
@@ -21,9 +23,11 @@ from hierax.runtime.transport.zenoh_session import (
     ENCRYPTION,
     LOW_LATENCY_BYTES,
     close_session,
+    door_at,
     encrypted,
     endpoint_at,
     free_endpoint,
+    knocking_at,
     open_session,
     remove_orphaned_segments,
 )
@@ -36,6 +40,65 @@ def test_it_listens_on_loopback_only() -> None:
     close_session(session)
     assert opened
     assert all(address.startswith("0100007F:") for address in opened), opened
+
+
+def test_who_is_told_of_doors_links_to_these_alone_and_again_when_somebody_comes_back(tmp_path: Path) -> None:
+    hub = open_session([endpoint := free_endpoint()], links="told")
+    doors = {name: str(tmp_path / name) for name in ("low", "up", "beside")}
+
+    def told(name: str, *others: str) -> zenoh.Session:
+        listen = [endpoint_at(), door_at(doors[name])]
+        return open_session(listen, [endpoint, *(knocking_at(doors[other]) for other in others)], links="told")
+
+    up = told("up", "low")  # whose door is not there yet
+    low, beside = told("low"), told("beside")
+    try:
+        until(lambda: peers(up) == zids(hub, low), "links to the hub and the door")
+        close_session(low)
+        until(lambda: peers(up) == zids(hub), "a link that is gone")
+        low = told("low")
+        until(lambda: peers(up) == zids(hub, low), "another link")
+        newcomer = open_session([endpoint_at()], [endpoint])
+        until(lambda: peers(newcomer) == zids(hub, low, up, beside), "links to all")
+        close_session(newcomer)
+        until(lambda: peers(up) == zids(hub, low), "links as before")
+        assert peers(beside) == zids(hub)
+    finally:
+        for session in (up, low, beside, hub):
+            close_session(session)
+
+
+def test_of_two_that_come_at_once_one_opens_the_link(tmp_path: Path) -> None:
+    """Where both do, some are left unlinked for good."""
+    hub = open_session([endpoint := free_endpoint()], links="told")
+    doors = [str(tmp_path / str(number)) for number in range(2)]
+    told = [open_session([endpoint_at(), door_at(door)], [endpoint], links="told") for door in doors]
+    gate = threading.Barrier(5)
+
+    def come() -> zenoh.Session:
+        gate.wait()
+        return open_session(connect=[endpoint])
+
+    try:
+        with ThreadPoolExecutor(5) as pool:
+            for _ in range(3):
+                came = [each.result() for each in [pool.submit(come) for _ in range(5)]]
+                for one in came:
+                    others = zids(hub, *told, *came) - zids(one)
+                    until(lambda one=one, others=others: peers(one) >= others, "links to all")
+                list(pool.map(close_session, came))
+    finally:
+        for session in (*told, hub):
+            close_session(session)
+
+
+def peers(session: zenoh.Session) -> set[str]:
+    """To whom a session is linked."""
+    return set(map(str, session.info.peers_zid()))
+
+
+def zids(*sessions: zenoh.Session) -> set[str]:
+    return {str(session.zid()) for session in sessions}
 
 
 def listening() -> set[str]:
