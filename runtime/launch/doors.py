@@ -3,7 +3,8 @@
 Where every process links to all it hears of, as Zenoh's peers do, a launch of 64 has two thousand links, each of which
 costs some milliseconds to open. So processes that begin with the run, on one machine and without certificates, each
 have a door, which is a socket in the run's folder, and link to the doors that they are told of: of two, one links to
-the other's. Who comes later knows of no doors, and links to all it hears of."""
+the other's. A process in the place of a lost one has that one's door. Who comes later knows of no doors, and links to
+all it hears of."""
 
 import os
 import re
