@@ -3,9 +3,10 @@
 Where every process links to all it hears of, as Zenoh's peers do, a launch of 64 has two thousand links, each of which
 costs some milliseconds to open. So processes that begin with the run, on one machine and without certificates, each
 have a door, which is a socket in the run's folder, and link to the doors that they are told of: of two, one links to
-the other's. A process in the place of a lost one has that one's door. Who comes later knows of no doors, and links to
-all it hears of."""
+the other's. A process in the place of a lost one has that one's door, where that is free: a child of the lost
+one may live on, and hold the lock. Who comes later knows of no doors, and links to all it hears of."""
 
+import fcntl
 import os
 import re
 import socket
@@ -51,8 +52,19 @@ def doors_of(roster: Roster, processes: Mapping[str, Sequence[str]], folder: Pat
     return {name: Doors(paths[name], tuple(paths[each] for each in sorted(others[name]))) for name in processes}
 
 
+def is_free(path: str) -> bool:
+    """Whether a session can listen at a door: nobody holds its lock, as Zenoh takes it, and its folder is there."""
+    try:
+        with open(f"{path}.lock", "w", encoding="ascii") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
 def _holds_sockets(folder: Path, longest: str) -> bool:
-    """Whether sockets can be made there, which is not so on all file systems, and be told to Zenoh by their paths."""
+    """Whether sockets and their locks can be made there, which is not so on all file systems, and be told to Zenoh by
+    their paths."""
     if len(longest.encode()) > MOST_PATH_BYTES or not _PLAIN.fullmatch(longest):
         return False
     probe = folder / "d"
@@ -60,6 +72,8 @@ def _holds_sockets(folder: Path, longest: str) -> bool:
         with socket.socket(socket.AF_UNIX) as tried:
             tried.bind(str(probe))
             os.unlink(probe)
+        free = is_free(str(probe))
+        os.unlink(f"{probe}.lock")
     except OSError:
         return False
-    return True
+    return free

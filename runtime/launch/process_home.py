@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
+from hierax.runtime.launch.doors import is_free
 from hierax.runtime.launch.frames import NodeOrder
 from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.shared_process import Neighbours
@@ -68,8 +69,9 @@ def _opened(order: NodeOrder) -> Any:
     if order.access is not None:
         access = access_control(Keys(order.deployment, order.run), order.access)
     listen, connect = [endpoint_at(order.host, order.secret)], [order.hub]
-    links: Links = "told" if order.door else "all"
-    if order.door:
+    has_door = bool(order.door) and is_free(order.door)
+    links: Links = "told" if has_door else "all"
+    if has_door:
         listen.append(door_at(order.door))
         connect += map(knocking_at, order.doors)
     return open_session(

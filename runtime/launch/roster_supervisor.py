@@ -235,7 +235,8 @@ class RosterSupervisor(ProcessSupervisor):
         await anyio.sleep(delay_s)
         if not self.ending:
             again = self.orders.again(child.order, frames.new_process(child.name), {}, ())
-            await super().start_together([replace(again, shares="")])
+            # the process that it has shared may come back too, with its door
+            await super().start_together([replace(again, shares="", door="", doors=())])
 
     async def _replace(self, children: Sequence[Child]) -> None:
         """Have another process come in the place of one that has ended, with the nodes that it had; or end the run."""

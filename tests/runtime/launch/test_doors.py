@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import random
+import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.live import Live
+from support.live import Live, until
 from support.rosters import random_roster
 
-from hierax.runtime.launch.doors import MOST_PATH_BYTES, Doors, doors_of
+from hierax.runtime.launch.doors import MOST_PATH_BYTES, Doors, doors_of, is_free
 from hierax.schemas.roster import Roster
 
 
@@ -70,3 +72,38 @@ def test_those_of_a_launch_are_used(tmp_path: Path, folder: Path, monkeypatch: p
         assert {str(run / f"{number}.door") for number in range(len(live.run["nodes"]))} <= heard
     finally:
         live.close()
+
+
+def test_a_door_whose_lock_is_held_or_whose_folder_is_gone_is_not_free(folder: Path) -> None:
+    path = folder / "0.door"
+    assert is_free(str(path))
+    with open(f"{path}.lock", encoding="ascii") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert not is_free(str(path))
+    assert is_free(str(path))
+    assert not is_free(str(folder / "missing" / "0.door"))
+
+
+def test_a_process_comes_back_without_its_door_where_somebody_holds_that(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder))
+    live = Live(tmp_path)
+    try:
+        live.goes_on()
+        run = folder / "hierax" / "runs" / live.run["run"]
+        (run / "0.door.lock").unlink()  # so that another lock can be taken in its place, before the process ends
+        with open(run / "0.door.lock", "w", encoding="ascii") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            kill(live, "high")
+            live.goes_on()
+        live.is_repeated_by()
+    finally:
+        live.close()
+
+
+def kill(live: Live, name: str) -> None:
+    """Kill the process of a node, and wait for the one in its place."""
+    pid = live.run["nodes"][name]["pid"]
+    os.kill(pid, signal.SIGKILL)
+    until(lambda: live.run["nodes"][name]["pid"] not in (None, pid), f"another process of {name}")
