@@ -49,8 +49,8 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
     """`goes_on`: whether the output of a run that was ended before its first epoch is written on."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch.recorder_process import RecordingRequest
-    from hierax.runtime.transport.zenoh_session import log_who_comes
-    from hierax.runtime.watch import doors, telemetry
+    from hierax.runtime.transport.zenoh_session import log_incoming_links
+    from hierax.runtime.watch import refused, telemetry
 
     telemetry.wanted()  # what is wrong there is told once, not by every process
     run = _resumed(file, options)
@@ -76,8 +76,8 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
         )
         if run is not None and output is not None:
             goes_on = output.absolute() == Path(run.output).absolute()
-        log_who_comes()
-        with doors.watched(notify):
+        log_incoming_links()
+        with refused.watched(notify):
             code = run_deployment(runner, file, options, goes_on)
     if recording is None:
         return code

@@ -27,7 +27,7 @@ class Audit:
         self._write(f"user {os.getuid()} has launched {deployment}, reached at {endpoint}{told}")
 
     def refused_link(self, what: str) -> None:
-        """Somebody has no key or no certificate; `hierax.runtime.watch.doors` says who."""
+        """Somebody has no key or no certificate; `hierax.runtime.watch.refused` says who."""
         self._write(what, outcome="refused")
 
     def settled(self, change: Change, by: str, answer: Mapping[str, Value]) -> None:

@@ -35,8 +35,8 @@ from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_
 from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
-from hierax.runtime.watch.doors import overheard
 from hierax.runtime.watch.logs import begin_log
+from hierax.runtime.watch.refused import overheard
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value

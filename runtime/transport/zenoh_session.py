@@ -56,14 +56,14 @@ line for each connection, with which anybody who reaches a port could fill a log
 and takes it back: then Zenoh says that it knows nothing of it.
 """
 
-_OF_DOORS = (
+_OF_LINKS = (
     "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_transport::unicast::establishment::accept=debug"
 )
 
 
-def log_who_comes() -> None:
-    """Have Zenoh print who comes in too, for `hierax.runtime.watch.doors`; to be called before a session is opened."""
-    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_DOORS}")
+def log_incoming_links() -> None:
+    """Have Zenoh print links that come in, for `hierax.runtime.watch.refused`; to be called before a session is opened."""
+    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_LINKS}")
 
 
 RUNTIME = "(net: (worker_threads: 8))"

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from hierax.runtime.watch.doors import MAX_HOSTS, Doors, watched
+from hierax.runtime.watch.refused import MAX_HOSTS, RefusedLinks, watched
 
 _LINK, _ACCEPT = "zenoh_link_tcp::unicast", "zenoh_transport::unicast::establishment::accept"
 CAME = f"2030 \x1b[34mDEBUG\x1b[0m acc-0 \x1b[2m{_LINK}\x1b[0m: Accepted TCP connection on 127.0.0.1:1: {{}}\n"
@@ -14,19 +14,19 @@ ENDED = f"2030 DEBUG acc-0 {_ACCEPT}: Read error on TCP link\n"
 
 def test_a_flood_of_refusals_is_few_lines() -> None:
     told: list[str] = []
-    doors = Doors(told.append)
+    links = RefusedLinks(told.append)
     for number in range(1000):
-        assert doors.take(CAME.format(f"10.0.0.7:{number}"))
-        assert doors.take(REFUSED)
-        assert doors.take(ENDED)
+        assert links.take(CAME.format(f"10.0.0.7:{number}"))
+        assert links.take(REFUSED)
+        assert links.take(ENDED)
     assert told[:2] == [
         "refused 10.0.0.7:0: it has no key of this run",
         "refused 10.0.0.7:1: it has no key of this run (2 times by now)",
     ]
     assert len(told) == 10
     for number in range(10 * MAX_HOSTS):
-        doors.take(CAME.format(f"10.1.{number}.7:1"))
-        doors.take(REFUSED)
+        links.take(CAME.format(f"10.1.{number}.7:1"))
+        links.take(REFUSED)
     assert len(told) < 10 + MAX_HOSTS + 12
 
 
@@ -48,8 +48,8 @@ def test_who_shows_no_certificate_is_told_apart_from_whose_has_ended_and_from_li
     what: str, told: str
 ) -> None:
     lines: list[str] = []
-    doors = Doors(lines.append)
-    assert doors.take(f"2030  WARN acc-0 zenoh_link_tls::unicast: {what}. Hint: increase the system open file limit.\n")
+    links = RefusedLinks(lines.append)
+    assert links.take(f"2030  WARN acc-0 zenoh_link_tls::unicast: {what}. Hint: increase the system open file limit.\n")
     assert lines == ([f"refused somebody: {told}"] if told else [])
 
 

@@ -1,6 +1,6 @@
-"""Who was refused at the supervisor's door: Zenoh tells it in its log alone, so that is read.
+"""Who was refused a link at the launch's port: Zenoh tells it in its log alone, so that is read.
 
-Zenoh prints to descriptor 1. While doors are watched, what it prints there of links that come in is taken out, and who
+Zenoh prints to descriptor 1. While this is watched, what it prints there of links that come in is taken out, and who
 had no key of the run is told, with the address; everything else goes on to where it went before.
 """
 
@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 MAX_HOSTS = 64  # how many addresses are counted apart
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-_OF_DOORS = re.compile(r"(?:DEBUG|WARN|ERROR) .*(zenoh_link_t(?:cp|ls)::unicast|establishment::accept): (.*)")
+_OF_LINKS = re.compile(r"(?:DEBUG|WARN|ERROR) .*(zenoh_link_t(?:cp|ls)::unicast|establishment::accept): (.*)")
 _CAME = re.compile(r"Accepted T(?:CP|LS) connection on \S+: ([^\s,]+?)\.?(?: |$)")
 _FAILED = "Hint: increase"  # what Zenoh guesses whenever a link could not be encrypted
 # nobody was refused: somebody looked whether anybody listens, or was cut off, or ended, while a link was opened
@@ -22,7 +22,7 @@ _BROKEN = re.compile(r"handshake eof|\(os error \d+\)|Timeout during TLS handsha
 _OVER = "peer certificate: certificate expired"
 
 
-class Doors:
+class RefusedLinks:
     """Takes lines of Zenoh's log, and tells who was refused: the first time and whenever that has doubled."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
@@ -32,7 +32,7 @@ class Doors:
 
     def take(self, line: str) -> bool:
         """Whether a line is of who comes in."""
-        found = _OF_DOORS.search(_COLOURS.sub("", line))
+        found = _OF_LINKS.search(_COLOURS.sub("", line))
         if found is None:
             return False
         where, what = found.groups()
@@ -78,16 +78,16 @@ def watched(tell: Callable[[str], None]) -> Iterator[None]:
     reading, writing = os.pipe()
     os.dup2(writing, 1)
     os.close(writing)
-    doors = Doors(lambda what: _tell_all(what, tell))
+    refused = RefusedLinks(lambda what: _tell_all(what, tell))
 
     def read() -> None:
         with open(reading, "rb") as lines:
             for line in lines:
-                if not doors.take(line.decode(errors="replace")):
+                if not refused.take(line.decode(errors="replace")):
                     with suppress(OSError):
                         os.write(before, line)
 
-    reader = threading.Thread(target=read, name="hierax-doors", daemon=True)
+    reader = threading.Thread(target=read, name="hierax-refused", daemon=True)
     reader.start()
     try:
         yield
