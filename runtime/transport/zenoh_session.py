@@ -62,7 +62,7 @@ _OF_LINKS = (
 
 
 def log_incoming_links() -> None:
-    """Have Zenoh print links that come in, for `hierax.runtime.watch.refused`; to be called before a session is opened."""
+    """Have Zenoh print the links that come in, for `watch.refused`; to be called before a session is opened."""
     zenoh.init_log_from_env_or(f"{LOGGED},{_OF_LINKS}")
 
 
