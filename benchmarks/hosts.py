@@ -1,12 +1,15 @@
 """Launch hierarchies over three hosts, lose one, cut a link: the digests are those of one process.
 
     python benchmarks/hosts.py                # letters and tracking, some minutes; root, iproute2, openssh-server
+    python benchmarks/hosts.py ctrl-c         # how long Ctrl-C takes alone, half a minute
 
 Hosts are network namespaces with an `sshd` in each; what is sent between them takes 2 ms, and 1 % of the packets are
-lost (`tests/support/wire.py`). Exit code 1 where a digest is another one.
+lost (`tests/support/wire.py`). Exit code 1 where a digest is another one, or Ctrl-C takes too long.
 """
 
 import json
+import signal
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -22,6 +25,8 @@ from support.far_hosts import ARM, DESK, ROBOT, FarHosts  # noqa: E402
 from support.live import HIERAX, Program, environment, hierax, until  # noqa: E402
 
 LOST_S, CUT_S = 2, 5.0
+ENDS_S = 2.0  # what README says of Ctrl-C
+PRESSES = 5
 PLACES = {
     "letters": (300, {"world": ROBOT, "letter1": ARM, "letter2": ROBOT, "word": DESK}),
     "tracking": (60, {"world": ROBOT, "arm": ARM, "spatial": DESK}),
@@ -39,7 +44,9 @@ def main() -> int:
         far = FarHosts(folder)
         try:
             for hierarchy, (epochs, place) in PLACES.items():
-                sound &= launched(far, folder, hierarchy, epochs, place)
+                if sys.argv[1:] != ["ctrl-c"]:
+                    sound &= launched(far, folder, hierarchy, epochs, place)
+                sound &= interrupted(far, folder, hierarchy, place)
         finally:
             far.remove()
     return 0 if sound else 1
@@ -47,10 +54,7 @@ def main() -> int:
 
 def launched(far: FarHosts, folder: Path, hierarchy: str, epochs: int, place: dict[str, str]) -> bool:
     """One hierarchy, in all ways; whether all digests are equal."""
-    told = (ROOT / "deploy" / f"{hierarchy}.yaml").read_text(encoding="utf-8")
-    hosts = far.hosts(robot=f"fallback: desk, lost_after: {LOST_S}", arm="lost_after: 30")
-    placed = folder / f"{hierarchy}.yaml"
-    placed.write_text(f"{told}\n{hosts}place: {json.dumps(place)}\n", encoding="utf-8")
+    placed = placed_file(far, folder, hierarchy, place)
     arguments = ("--epochs", str(epochs), "--format", "json")
     wanted = json.loads(hierax(folder, "run", str(placed), *arguments).stdout)["digest"]
     ways: list[tuple[str, str, Disturb]] = [
@@ -77,6 +81,45 @@ def launched(far: FarHosts, folder: Path, hierarchy: str, epochs: int, place: di
         if way == "robot lost":
             far.power_on(ROBOT)
     return sound
+
+
+def interrupted(far: FarHosts, folder: Path, hierarchy: str, place: dict[str, str]) -> bool:
+    """Ctrl-C, some times, on three hosts: whether all is gone in time, with the digest of so many epochs."""
+    placed = placed_file(far, folder, hierarchy, place)
+    exits_s, ends_s, equal = [], [], True
+    for _ in range(PRESSES):
+        arguments = ("launch", str(placed), "--epochs", "1000000", "--format", "json")
+        program = Program(arguments, environment(folder), far.namespaces[DESK])
+        until(lambda: committed(far, folder) > 1)
+        program.process.send_signal(signal.SIGINT)
+        signalled_s = time.monotonic()
+        program.process.wait()
+        exits_s.append(time.monotonic() - signalled_s)
+        until(lambda: far.is_idle(ROBOT) and far.is_idle(ARM), "the end of the keepers")
+        ends_s.append(time.monotonic() - signalled_s)
+        assert program.ends() == 130, program.err
+        report = json.loads("".join(program.out))
+        program.kill()
+        again = ("run", str(placed), "--epochs", str(report["epochs"]), "--format", "json")
+        equal &= json.loads(hierax(folder, *again).stdout)["digest"] == report["digest"]
+    times = ", ".join(
+        f"{what} {statistics.median(each):.2f} s (longest {max(each):.2f} s)"
+        for what, each in (("its exit", exits_s), ("the end of all processes", ends_s))
+    )
+    in_time = max(ends_s) < ENDS_S
+    late = "" if in_time else f", NOT WITHIN {ENDS_S:g} s"
+    print(f"{hierarchy}, Ctrl-C on three hosts, {PRESSES} times: {times}{late}, ", end="")
+    print(f"digest {'equal' if equal else 'ANOTHER ONE'}", flush=True)
+    return equal and in_time
+
+
+def placed_file(far: FarHosts, folder: Path, hierarchy: str, place: dict[str, str]) -> Path:
+    """Its deployment file, with nodes on hosts."""
+    told = (ROOT / "deploy" / f"{hierarchy}.yaml").read_text(encoding="utf-8")
+    hosts = far.hosts(robot=f"fallback: desk, lost_after: {LOST_S}", arm="lost_after: 30")
+    placed = folder / f"{hierarchy}.yaml"
+    placed.write_text(f"{told}\n{hosts}place: {json.dumps(place)}\n", encoding="utf-8")
+    return placed
 
 
 def committed(far: FarHosts, folder: Path) -> int:

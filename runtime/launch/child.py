@@ -312,6 +312,10 @@ class Child:
         """Why it has ended: what it said itself, or else how."""
         return self.failure or NodeFailedError(f"{self.name}: its process ended {self.how}")
 
+    def failed_as(self, why: str) -> NodeFailedError:
+        """Why the run ends with this node: what it said itself, or else what its owner says, and the host it was on."""
+        return self.failure or NodeFailedError(f"{why}; its process ended {self.gone}" if self.gone else why)
+
     @property
     def how(self) -> str:
         """How it has ended."""

@@ -143,8 +143,8 @@ class RosterSupervisor(ProcessSupervisor):
         elif status == frames.DISMISS:
             self.tasks.start_soon(self._dismiss, value["process"], Dismiss(value["why"], value["again"]))
         elif status == frames.HALT:
-            culprit = self.current.get(value["why"].partition(":")[0])
-            self.fail((culprit and culprit.failure) or NodeFailedError(value["why"]))
+            why, culprit = value["why"], self.current.get(value["why"].partition(":")[0])
+            self.fail(culprit.failed_as(why) if culprit else NodeFailedError(why))
 
     def _elsewhere(self) -> dict[str, str]:
         """The processes started elsewhere of nodes in force: a new process of the world's names none that is lost."""
