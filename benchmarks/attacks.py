@@ -6,7 +6,7 @@
 
 closed      a launch on one machine: the attacker has no key, a wrong one, another run's, or an old run's
 encrypted   a launch with --host: it has no certificate, another run's, or one of the two secrets of the right run
-roles       a launch with --host: it has a key or certificate of the run, for another role
+roles       a launch with --host: it has a key or certificate of the run, for another role; floods too
 files       recordings, folders, checkpoints, rosters, keys, deployment files and answers of what is no launch
 
 Launches are attacked by another user where root starts this, as client and as peer, at the port of every process, and
@@ -35,8 +35,10 @@ from support.role_attacks import RoleAttack  # noqa: E402
 
 from hierax.runtime.host.run_folder import run_folder  # noqa: E402
 from hierax.runtime.host.run_secret import certificates_of, new_secret, token_of  # noqa: E402
+from hierax.schemas.access import LATER, OPERATOR, READER  # noqa: E402
 
 ALLOWED_BYTES = 50 << 20
+CALLED = {READER: "a reader", OPERATOR: "an operator", LATER: "a later node", "high": "node high"}
 _OFTEN = re.compile(r"no (key|certificate) of this run(?: \((\d+) times by now\))?")
 
 
@@ -109,12 +111,24 @@ def roles(folder: Path, options: Options) -> Iterator[Row]:
         stack.callback(live.close)
         attack = RoleAttack(live)
         stack.callback(attack.close)
-        for who, each in attack.all().items():
-            for what, count in each.items():
-                yield Row(f"{who}: {what}", f"{count} times" if count else "", "0")
+        pids = [live.launch.process.pid, *(node["pid"] for node in live.run["nodes"].values())]
+        before = {pid: most_bytes(pid) for pid in pids}
+        for outcome in (attack.all(), attack.floods(options.messages, options.megabytes << 20)):
+            yield from _rows(outcome)
         live.goes_on()
+        yield _memory(before)
         live.is_repeated_by()
         yield Row("digest", "", "that of `hierax run`")
+        for who in attack.roles:
+            said = f"refused the certificate of {CALLED[who]}: "
+            tried = {line.partition(said)[2].partition(" on ")[0] for line in live.launch.err if said in line}
+            lacks = {
+                "it may not put",
+                "it may not delete",
+                "it may not offer answers",
+                "it may not claim to live",
+            } - tried
+            yield Row(f"{who} is told of", f"not that {', '.join(lacks)}" if lacks else "", ", ".join(sorted(tried)))
 
 
 WAYS: dict[str, Callable[[Path, Options], Iterator[Row]]] = {
@@ -144,17 +158,26 @@ def _launched(
         audit = run_folder(live.run["run"]) / "logs" / "_audit.jsonl"
         live.goes_on()
         before = {pid: most_bytes(pid) for pid in order["pids"]}
-        for who, each in attacked(order, folder).items():
-            for what, count in each.items():
-                yield Row(f"{who}: {what}", f"{count} times" if count else "", "0")
+        yield from _rows(attacked(order, folder))
         live.goes_on()
-        grown = max(most_bytes(pid) - before[pid] for pid in order["pids"])
-        allowed = grown <= ALLOWED_BYTES
-        yield Row("memory", "" if allowed else f"{grown >> 20} MB more", f"at most {grown / 2**20:.1f} MB more")
+        yield _memory(before)
         live.is_repeated_by()
         yield Row("digest", "", "that of `hierax run`")
         told = refusals(audit)
         yield Row("who was refused is in the audit", "" if told else "nobody is told", told)
+
+
+def _rows(outcome: dict[str, dict[str, int]]) -> Iterator[Row]:
+    for who, each in outcome.items():
+        for what, count in each.items():
+            yield Row(f"{who}: {what}", f"{count} times" if count else "", "0")
+
+
+def _memory(before: dict[int, int]) -> Row:
+    """Whether all processes have taken as little as that over what they had taken before."""
+    grown = max(most_bytes(pid) - bytes_before for pid, bytes_before in before.items())
+    allowed = grown <= ALLOWED_BYTES
+    return Row("memory", "" if allowed else f"{grown >> 20} MB more", f"at most {grown / 2**20:.1f} MB more")
 
 
 def refusals(audit: Path) -> str:

@@ -18,6 +18,7 @@ from hierax.schemas.values import Value
 
 LAUNCH, OPERATOR, READER, LATER = "launch", "operator", "reader", "later node"
 
+_CALLED = {LAUNCH: "the launch", OPERATOR: "an operator", READER: "a reader", LATER: "a later node"}
 _KINDS = (OBSERVATIONS, TASKS, CONTEXT)
 _ANY = "*"
 _HASH_BYTES = 16  # a name of ours may be longer than one in a certificate
@@ -66,6 +67,12 @@ class Access:
             return _role("process", process)
         return _role("node", name) if name in self.names else LATER
 
+    def called(self) -> dict[str, str]:
+        """How people call a role, by its name in certificates."""
+        nodes = {_role("node", name): f"node {name}" for name in self.names}
+        processes = {_role("process", name): f"process {name}" for name in self.processes}
+        return {role: f"the certificate of {what}" for role, what in (nodes | processes | _CALLED).items()}
+
     def nodes_by_role(self) -> dict[str, tuple[str, ...]]:
         """The nodes that a role has. One that has shared a process may come back alone."""
         alone = {_role("node", name): (name,) for name in self.names}
@@ -94,11 +101,12 @@ def of_node(keys: Keys, name: str, *, is_world: bool = False) -> Grants:
 
 
 def of_launch(keys: Keys) -> Grants:
-    """What the launch may. It passes on what tools ask nodes, who answer them by way of it."""
+    """What the launch may. It passes on what tools ask nodes, who answer them by way of it, and copies of what nodes
+    say. What they say to one another it does not hear: who says that to it is no node."""
     asked = (keys.launch, keys.changes, _any_launch())
     return Grants(
         says=(keys.notes, keys.control(_ANY)),
-        hears=(keys.everything,),
+        hears=(keys.epochs, keys.seen(_ANY, _ANY, _ANY)),
         asks=(keys.look(_ANY),),
         asked=asked,
         answers=(keys.launch, keys.changes, keys.look(_ANY)),

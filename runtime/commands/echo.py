@@ -51,7 +51,7 @@ def echoes(client: "LaunchClient", pattern: str) -> "Iterator[Echo]":
             came.put_nowait(data)
 
     _ask(client, pattern)
-    client.listen(f"{client.keys().root}/seen/**", heard)
+    client.listen(client.keys().seen("*", "*", "*"), heard)
     wanted = _ask(client, pattern)
     asked_s = time.monotonic()
     counter = Counter()

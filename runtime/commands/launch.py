@@ -49,7 +49,7 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
     """`goes_on`: whether the output of a run that was ended before its first epoch is written on."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch.recorder_process import RecordingRequest
-    from hierax.runtime.transport.zenoh_session import log_incoming_links
+    from hierax.runtime.transport.zenoh_session import log_refusals
     from hierax.runtime.watch import refused, telemetry
 
     telemetry.wanted()  # what is wrong there is told once, not by every process
@@ -76,7 +76,7 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
         )
         if run is not None and output is not None:
             goes_on = output.absolute() == Path(run.output).absolute()
-        log_incoming_links()
+        log_refusals()
         with refused.watched(notify):
             code = run_deployment(runner, file, options, goes_on)
     if recording is None:

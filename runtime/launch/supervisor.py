@@ -19,7 +19,7 @@ from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.timing import timing_of
 from hierax.runtime.host.run_secret import certificates_of, new_secret
-from hierax.runtime.launch.audit import Audit
+from hierax.runtime.launch.audit import Audit, proof_of
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP, new_process
@@ -162,7 +162,7 @@ class Supervisor:
         self._hosts = hosts  # where processes are started
         self._processes = RosterSupervisor(self._tasks, orders, hub, hosts, self._notify, self._break)
         self._log = begin_log(orders.run_id, deployment.name, deployment.path, notify, lambda: self._processes.epoch)
-        self._audit = Audit(orders.run_id, lambda: self._processes.epoch)
+        self._audit = Audit(orders.run_id, lambda: self._processes.epoch, proof_of(orders.secret))
 
     async def run(self, begun_s: float) -> None:
         """Do all of the launch. `begun_s`: when it began, by `time.perf_counter`."""
@@ -177,7 +177,7 @@ class Supervisor:
         if self._orders.options.host:
             key = f" --key {key_path(self._orders.run_id)}" if self._hub.secret else ""
             self._notify(f"others join with --connect {endpoint}{key}")
-        with overheard(self._audit.refused_link):
+        with overheard(self._audit.refused_something, self._orders.access.called()):
             await self._watched(begun_s)
 
     async def _watched(self, begun_s: float) -> None:

@@ -72,7 +72,12 @@ class Service:
 
     @property
     def in_container(self) -> list[str]:
-        """The arguments of `hierax` in a container."""
+        """The arguments of `hierax` in a container. Raises `HieraxError` if nodes run on hosts that `ssh` has to reach:
+        it is not in the image, nor are its keys."""
+        for node, host in self.deployment.placed.items():
+            if not self.deployment.hosts[host].is_here:
+                what = f"node {node} runs on host {host}, which ssh reaches; a container has neither ssh nor your keys"
+                raise HieraxError(f"{self.deployment.path}: {what}; expected no such place, or `hierax export systemd`")
         own = self.deployment.path.stem if self.is_shipped else f"{FOLDER}/{self.file_name}"
         return self.launch(own, STATE)
 

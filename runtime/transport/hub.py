@@ -56,9 +56,16 @@ class Hub:
         self._queryables: list[Any] = []
         self._watcher: Any = None
         self._on_gone: Callable[[str, str], object] | None = None
-        self._subscriber: Any = None
+        self._subscribers = []
+        if access is not None:
+            # the lists of all who belong keep what they say from here; who has none is refused, and so told of
+            everything = self._session.declare_subscriber(
+                keys.everything, _nothing, allowed_origin=zenoh.Locality.REMOTE
+            )
+            self._subscribers.append(everything)
         if progress is not None:
-            self._subscriber = self._session.declare_subscriber(keys.epochs, _epoch_listener(progress))
+            epochs = self._session.declare_subscriber(keys.epochs, _epoch_listener(progress))
+            self._subscribers.append(epochs)
 
     def serve(self, on_look: OnQuestion, on_change: OnQuestion | None = None) -> None:
         """Answer what the supervisor is asked by who looks at the launch, and by who wants it to change: each is given
@@ -152,6 +159,10 @@ class Hub:
     def _open(self, endpoint: str, connect: Sequence[str] = ()) -> zenoh.Session:
         config, secret, access = self._zenoh_config, self.secret, self._access
         return open_session([endpoint], connect, config, False, links="told", secret=secret, role=LAUNCH, access=access)
+
+
+def _nothing(sample: zenoh.Sample) -> None:
+    """It was let through, so it is nothing new."""
 
 
 def _epoch_listener(progress: Callable[[int, bytes], None]) -> Callable[[zenoh.Sample], None]:

@@ -56,14 +56,16 @@ line for each connection, with which anybody who reaches a port could fill a log
 and takes it back: then Zenoh says that it knows nothing of it.
 """
 
-_OF_LINKS = (
-    "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_transport::unicast::establishment::accept=debug"
+_OF_REFUSALS = (
+    "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_transport::unicast::establishment::accept=debug,"
+    "zenoh::net::routing::interceptor::access_control=trace"
 )
 
 
-def log_incoming_links() -> None:
-    """Have Zenoh print the links that come in, for `watch.refused`; to be called before a session is opened."""
-    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_LINKS}")
+def log_refusals() -> None:
+    """Have Zenoh print the links that come in, and what its lists of who may do what say of each message, which is for
+    a session that hears few; for `watch.refused`, and to be called before a session is opened."""
+    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_REFUSALS}")
 
 
 RUNTIME = "(net: (worker_threads: 8))"

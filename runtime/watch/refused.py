@@ -1,17 +1,18 @@
-"""Who was refused a link at the launch's port: Zenoh tells it in its log alone, so that is read.
+"""Who was refused something at the launch's port: Zenoh tells it in its log alone, so that is read.
 
 Zenoh prints to descriptor 1. While this is watched, what it prints there of links that come in is taken out, and who
-had no key of the run is told, with the address; everything else goes on to where it went before.
+had no key of the run is told, with the address; likewise what a certificate does not let somebody do
+(`hierax.runtime.watch.denied`). Everything else goes on to where it went before.
 """
 
 import os
 import re
 import threading
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 
-MAX_HOSTS = 64  # how many addresses are counted apart
+from hierax.runtime.watch.denied import DeniedMessages
+from hierax.runtime.watch.tally import Tally
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _OF_LINKS = re.compile(r"(?:DEBUG|WARN|ERROR) .*(zenoh_link_t(?:cp|ls)::unicast|establishment::accept): (.*)")
@@ -23,16 +24,15 @@ _OVER = "peer certificate: certificate expired"
 
 
 class RefusedLinks:
-    """Takes lines of Zenoh's log, and tells who was refused: the first time and whenever that has doubled."""
+    """Takes lines of Zenoh's log, and tells who was refused a link, by machine."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell = tell
+        self._tally = Tally(tell)
         self._came = "somebody"
-        self._refused: Counter[str] = Counter()
 
     def take(self, line: str) -> bool:
-        """Whether a line is of who comes in."""
-        found = _OF_LINKS.search(_COLOURS.sub("", line))
+        """Whether a line, without colours, is of who comes in."""
+        found = _OF_LINKS.search(line)
         if found is None:
             return False
         where, what = found.groups()
@@ -49,22 +49,19 @@ class RefusedLinks:
         return True
 
     def _count(self, who: str, host: str, why: str) -> None:
-        if host not in self._refused and len(self._refused) >= MAX_HOSTS:
-            host = "others"
-        self._refused[host] += 1
-        count = self._refused[host]
-        if not count & (count - 1):
-            often = f" ({count} times by now)" if count > 1 else ""
-            self._tell(f"refused {who}: {why}{often}")
+        self._tally.count(host, f"refused {who}: {why}")
 
 
 _listeners: list[Callable[[str], None]] = []
+_called: dict[str, str] = {}
 
 
 @contextmanager
-def overheard(by: Callable[[str], None]) -> Iterator[None]:
-    """Have somebody told too of who is refused, while this lasts; from a thread of `watched`."""
+def overheard(by: Callable[[str], None], called: Mapping[str, str]) -> Iterator[None]:
+    """Have somebody told too of who is refused, while this lasts; from a thread of `watched`. `called`: how people call
+    the roles that stand in certificates."""
     _listeners.append(by)
+    _called.update(called)
     try:
         yield
     finally:
@@ -78,12 +75,14 @@ def watched(tell: Callable[[str], None]) -> Iterator[None]:
     reading, writing = os.pipe()
     os.dup2(writing, 1)
     os.close(writing)
-    refused = RefusedLinks(lambda what: _tell_all(what, tell))
+    links = RefusedLinks(lambda what: _tell_all(what, tell))
+    messages = DeniedMessages(lambda what: _tell_all(what, tell), lambda role: _called.get(role, role))
 
     def read() -> None:
         with open(reading, "rb") as lines:
             for line in lines:
-                if not refused.take(line.decode(errors="replace")):
+                told = _COLOURS.sub("", line.decode(errors="replace"))
+                if not messages.take(told) and not links.take(told):
                     with suppress(OSError):
                         os.write(before, line)
 

@@ -102,7 +102,12 @@ def test_a_node_hears_what_is_for_it_alone() -> None:
     others = {KEYS.edge("obs", "low", "high"), KEYS.control("lower~3f"), KEYS.control("high~3f"), KEYS.words("high")}
     for key, wanted in (*product(heard, [True]), *product(others | {KEYS.epochs, KEYS.steps("low")}, [False])):
         assert any(fits(pattern, key) for pattern in low.hears) is wanted, key
-    assert who(KEYS.words("low"), "hears") == {"world", "launch", "operator", "reader"}
+    assert who(KEYS.words("low"), "hears") == {"world", "operator", "reader"}
+
+
+def test_the_launch_hears_what_it_passes_on_and_nothing_that_nodes_say_to_one_another() -> None:
+    heard = {name for name, key in kinds().items() if "launch" in who(key, "hears")}
+    assert heard == {"epochs", "seen"}
 
 
 def test_nodes_of_the_file_have_roles_of_their_own_and_others_one_together() -> None:

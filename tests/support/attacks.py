@@ -3,6 +3,7 @@
 Run as ``python attacks.py ORDER.json`` with ``user``, ``endpoints``, ``hierarchy``, ``run``, ``tokens`` (of the
 processes, by node), ``secrets`` (by what they are; null: none), ``messages`` and ``bytes`` (of the floods). It prints
 JSON: by secret and mode, by attack, how much came of it. A secret with an authority shows a certificate by it.
+Doors are where another user cannot go, so the run's own user, too, tries them.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ TIMEOUT_S = 300.0
 LINKED_S = 0.5  # how long a session may take to have what it can have
 IDLE = 150  # connections that say nothing
 
+_LISTENS = "00010000"  # of a socket, in what Linux tells of flags
+
 Outcome = dict[str, dict[str, int]]
 
 
@@ -38,12 +41,14 @@ def order_for(live: Any, secrets: dict[str, str | None], messages: int, size: in
     pids = [live.launch.process.pid, *(node["pid"] for node in run["nodes"].values())]
     endpoints = ports_of(pids)
     assert len(endpoints) > len(run["nodes"]), endpoints
+    doors = doors_of(pids)
     if live.endpoint.startswith("tls/"):
         endpoints += [endpoint.replace("tcp/", "tls/") for endpoint in endpoints]
     assert live.endpoint in endpoints
     return {
         "pids": pids,
-        "endpoints": endpoints,
+        "endpoints": [*endpoints, *doors],
+        "doors": doors,
         "hierarchy": run["hierarchy"],
         "run": run["run"],
         "tokens": {name: node["process"] for name, node in run["nodes"].items()},
@@ -54,9 +59,18 @@ def order_for(live: Any, secrets: dict[str, str | None], messages: int, size: in
 
 
 def attacked(order: dict[str, Any], folder: Path) -> Outcome:
-    """What comes of all attacks, made by another user where that can be."""
+    """What comes of all attacks, made by another user where that can be, and at doors by the run's own."""
+    own = os.getuid()
+    outcome = _attacked_by(NOBODY if own == 0 else own, order, folder)
+    if order["doors"]:
+        at_doors = _attacked_by(own, {**order, "endpoints": order["doors"]}, folder)
+        outcome |= {f"the run's user at doors, {name}": each for name, each in at_doors.items()}
+    return outcome
+
+
+def _attacked_by(user: int, order: dict[str, Any], folder: Path) -> Outcome:
     path = folder / "attacks.json"
-    path.write_text(json.dumps({"user": NOBODY if os.getuid() == 0 else os.getuid(), **order}), encoding="utf-8")
+    path.write_text(json.dumps({"user": user, **order}), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, __file__, str(path)], capture_output=True, text=True, timeout=TIMEOUT_S, check=False
     )
@@ -67,14 +81,27 @@ def attacked(order: dict[str, Any], folder: Path) -> Outcome:
 
 def ports_of(pids: list[int]) -> list[str]:
     """Where processes listen, as anybody may look up."""
-    inodes = set()
+    sockets = _sockets_of(pids)
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    listening = [row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in sockets]
+    return [f"tcp/127.0.0.1:{int(address.partition(':')[2], 16)}" for address in listening]
+
+
+def doors_of(pids: list[int]) -> list[str]:
+    """The sockets in the run's folder at which processes listen."""
+    sockets = _sockets_of(pids)
+    rows = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()[1:]]
+    listening = [row[7] for row in rows if len(row) == 8 and row[3] == _LISTENS and f"socket:[{row[6]}]" in sockets]
+    return [f"unixsock-stream/{path}" for path in listening if path.endswith(".door")]
+
+
+def _sockets_of(pids: list[int]) -> set[str]:
+    found = set()
     for pid in pids:
         for file in Path(f"/proc/{pid}/fd").iterdir():
             with suppress(OSError):
-                inodes.add(os.readlink(file))
-    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    listening = [row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes]
-    return [f"tcp/127.0.0.1:{int(address.partition(':')[2], 16)}" for address in listening]
+                found.add(os.readlink(file))
+    return found
 
 
 def main() -> None:
@@ -218,21 +245,29 @@ def _by_bytes(order: dict[str, Any]) -> int:
     ]
     idle = []
     for endpoint in order["endpoints"]:
-        address = ("127.0.0.1", int(endpoint.rpartition(":")[2]))
         for attack in tries:
-            with suppress(OSError), socket.create_connection(address, 5.0) as link:
+            with suppress(OSError), _connected(endpoint, 5.0) as link:
                 link.settimeout(1.0)
                 with suppress(OSError):
                     attack(link)
                 answered += len(link.recv(64)) > 64
     for number in range(IDLE):
         with suppress(OSError):
-            endpoint = order["endpoints"][number % len(order["endpoints"])]
-            idle.append(socket.create_connection(("127.0.0.1", int(endpoint.rpartition(":")[2])), 1.0))
+            idle.append(_connected(order["endpoints"][number % len(order["endpoints"])], 1.0))
     time.sleep(LINKED_S)
     for link in idle:
         link.close()
     return answered
+
+
+def _connected(endpoint: str, timeout_s: float) -> socket.socket:
+    kind, _, where = endpoint.partition("/")
+    if kind != "unixsock-stream":
+        return socket.create_connection(("127.0.0.1", int(where.rpartition(":")[2])), timeout_s)
+    link = socket.socket(socket.AF_UNIX)
+    link.settimeout(timeout_s)
+    link.connect(where)
+    return link
 
 
 if __name__ == "__main__":

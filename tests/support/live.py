@@ -151,6 +151,7 @@ class Live:
         self.namespace = namespace
         self.file = folder / "live.yaml"
         self._stop = folder / "stop"
+        self.is_attacked = False  # whether somebody tries what its certificate does not let it
         self.file.write_text(DEPLOYMENT.format(stop=self._stop) + more, encoding="utf-8")
         self._programs: list[Program] = []
         self._client: LaunchClient | None = None
@@ -249,6 +250,8 @@ class Live:
         report = self.ends()
         strange = [line for line in self.launch.err if not line.startswith("hierax: ")]
         assert not strange, strange
+        refused = [line for line in self.launch.err if "refused the certificate of" in line]
+        assert self.is_attacked or not refused, refused
         wanted = self.repeated(report["epochs"], *schedule)
         assert report["digest"] == wanted["digest"], (schedule, self.launch.err)
         assert report["nodes"] == {name: wanted["nodes"][name] for name in report["nodes"]}

@@ -20,8 +20,10 @@ from hierax.schemas.values import encode_value
 from support.live import Live, until
 
 FORGED = b"forged"
+FLOOD = b"flood"
 ASKED_S = 1.0  # how long answers are waited for
 HEARD_S = 0.5  # how long what is said may take to be heard
+QUESTION_EVERY = 100  # messages of a flood: so many fewer are questions, each of which may be answered
 Mode = Literal["client", "peer"]
 Outcome = dict[str, dict[str, int]]
 
@@ -34,12 +36,14 @@ class RoleAttack:
         run = live.run
         self.keys = Keys(run["hierarchy"], run["run"])
         self._live = live
+        live.is_attacked = True
         self._tokens = {name: node["process"] for name, node in run["nodes"].items()}
         self.access = Access("world", {name: (name,) for name in self._tokens})
         # by role, in whose name it may speak, and what it may hear
         self.roles = {READER: "", OPERATOR: "", LATER: "", "high": "high"}
         self._forgeries: list[str] = []
         self._alive: list[str] = []
+        self.flooded = 0  # how much of the last flood is heard
         self.witness = self._open(LAUNCH, "peer", access_control(self.keys, self.access) if listed else None)
         self.witness.declare_subscriber(self.keys.everything, self._hear)
         self.witness.liveliness().declare_subscriber(self.keys.alive("*"), self._see, history=True)
@@ -99,6 +103,34 @@ class RoleAttack:
         finally:
             close_session(session)
 
+    def floods(self, messages: int, size: int) -> Outcome:
+        """What comes of floods, of so many messages and of so many bytes, by who and how it links: how much of them is
+        heard where the role may not speak. Where it may speak or ask, all is for the run's processes to bear."""
+        modes: tuple[Mode, ...] = ("client", "peer")
+        return {f"{who}, {mode}": self.flood(who, mode, messages, size) for who in self.roles for mode in modes}
+
+    def flood(self, who: str, mode: Mode, messages: int, size: int) -> dict[str, int]:
+        """A flood by one role."""
+        keys, own = self.keys, self.roles[who]
+        session = self._open(self.access.role_of(who) if own else who, mode)
+        try:
+            if mode == "peer":
+                until(lambda: self.witness.zid() in session.info.peers_zid(), "a link to the witness")
+            self.flooded = 0
+            for key in (keys.edge("obs", "world", "low"), keys.words("low"), keys.launch):
+                _flood(session, key, messages, size)
+            time.sleep(HEARD_S)
+            heard = self.flooded
+            for key in {LATER: [keys.words("more"), keys.edge("ctx", "more", "low")], own: [keys.words(own)]}.get(
+                who, []
+            ):
+                _flood(session, key, messages, size)
+            for _ in range(messages // QUESTION_EVERY):
+                session.get(keys.launch, lambda reply: None, payload=FLOOD, timeout=ASKED_S)
+            return {f"floods of {messages} messages and {size >> 20} MB heard": heard}
+        finally:
+            close_session(session)
+
     def _foreign(self, own: str) -> list[str]:
         """Keys on which only others may speak."""
         keys = self.keys
@@ -132,11 +164,22 @@ class RoleAttack:
             raise AssertionError(f"{role} is let in as a {mode}, and was not: {error}") from error
 
     def _hear(self, sample: zenoh.Sample) -> None:
-        if _is_forged(sample):
+        if sample.payload.to_bytes().startswith(FLOOD):
+            self.flooded += 1
+        elif _is_forged(sample):
             self._forgeries.append(str(sample.key_expr))
 
     def _see(self, sample: zenoh.Sample) -> None:
         self._alive.append(str(sample.key_expr))
+
+
+def _flood(session: zenoh.Session, key: str, messages: int, size: int) -> None:
+    publisher = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+    for _ in range(messages):
+        publisher.put(FLOOD)
+    for _ in range(size >> 20):
+        publisher.put(FLOOD.ljust(1 << 20))
+    publisher.undeclare()
 
 
 def _is_forged(sample: zenoh.Sample) -> bool:

@@ -179,6 +179,7 @@ def test_who_changed_what_is_written_down_for_its_user_alone(live: Live, tmp_pat
     ]
     assert {each[2] for each in outcomes[3:]} == {"refused"}
     assert changes[0]["by"].startswith(f"user {os.getuid()} on ")
+    assert {each["with"] for each in changes} == {"the key of the run"}
     assert changes[0]["details"]["nodes"]["top"]
     assert changes[-1]["by"] == "somebody who does not say who it is"
     assert "\x1b" not in file.read_text(encoding="utf-8")

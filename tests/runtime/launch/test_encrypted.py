@@ -7,7 +7,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from support.attacks import ports_of
+from support.attacks import doors_of, ports_of
 from support.launched import processes_of
 from support.live import Live, hierax
 from support.relay import Relay
@@ -87,7 +87,9 @@ def test_who_shows_no_certificate_of_the_run_is_let_in_at_no_port_and_told(live:
         "another token": f"{token_of(other)}\n{authority}",
     }
     run = live.run
-    endpoints = ports_of([live.launch.process.pid, *(node["pid"] for node in run["nodes"].values())])
+    pids = [live.launch.process.pid, *(node["pid"] for node in run["nodes"].values())]
+    endpoints = ports_of(pids)
+    assert not doors_of(pids)  # which ask for no certificate
     assert len(endpoints) > len(run["nodes"])
     for endpoint, scheme, (what, each) in product(endpoints, ("tls", "tcp"), wrong.items()):
         assert not is_let_in(f"{scheme}{endpoint.removeprefix('tcp')}", each), (what, scheme)

@@ -84,6 +84,8 @@ def test_an_operator_changes_the_launch_also_with_nodes_that_it_keeps(live: Live
     code, _, err = elsewhere.says("keys", str(elsewhere.folder / "more.key"))
     assert code == 1
     assert err.startswith("error: the key is one role's; others are made by the key of the run")
+    audited = [json.loads(line) for line in live.hierax("logs", "--audit", "--format", "json").stdout.splitlines()]
+    assert [line["with"] for line in audited if "by" in line] == ["an operator's certificate"] * 3
     live.is_repeated_by(f"{first}:attach:{path}", f"{second}:attach:{beside}", f"{third}:detach:beside")
 
 
@@ -98,15 +100,30 @@ def test_what_a_role_may_not_comes_to_nothing(live: Live) -> None:
     assert not came, came
     live.goes_on()
     live.is_repeated_by()
+    for who, tried in NAMED.items():
+        for each in tried:
+            said = f"hierax: refused the certificate of {who}: it may not {each} on hierax/live/"
+            assert any(line.startswith(said) for line in live.launch.err), said
+
+
+FORGES = ("put", "delete", "offer answers", "claim to live")
+NAMED = {
+    "a reader": (*FORGES, "ask"),
+    "an operator": FORGES,
+    "a later node": (*FORGES, "ask", "listen"),
+    "node high": (*FORGES, "ask", "listen"),
+}
 
 
 def test_who_is_not_held_to_the_list_would_hear_what_is_forged(live: Live) -> None:
     attack = RoleAttack(live, listed=False)
     try:
         came = dict(attack.by(READER, "peer"))
+        [flooded] = attack.flood(READER, "peer", 100, 0).values()
     finally:
         attack.close()
     assert all(came[what] for what in ("answers that are forged", "puts and deletes heard", "tokens seen")), came
+    assert flooded
     live.is_repeated_by()
 
 

@@ -134,6 +134,19 @@ def test_settings_in_another_file_do_not_come_along(tmp_path: Path) -> None:
         compose(own(tmp_path, "zenoh.json5"))
 
 
+def test_hosts_are_reached_by_units_and_not_from_containers(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    hosts = "hosts: {robot: {ssh: pi@robot}, desk: local}\nplace: {world: robot, camera: desk}\n"
+    path.write_text(OWN.format(zenoh="null") + hosts, encoding="utf-8")
+    robot = Service(read_deployment(str(path)))
+    for written in (compose, manifests):
+        with pytest.raises(HieraxError, match=r"robot.yaml: node world runs on host robot, which ssh reaches"):
+            written(robot)
+    assert units(robot)
+    at_desk = Service(read_deployment(str(path), ("place.world=desk",)))
+    assert compose(at_desk)
+
+
 def test_odd_words_stay_as_they_are(tmp_path: Path) -> None:
     setting = """nodes.world.parameters={"a": "100% $HOME \\\\ 'b'"}"""
     robot = Service(own(tmp_path).deployment, (setting,))

@@ -4,10 +4,11 @@ import os
 
 import pytest
 
-from hierax.runtime.watch.refused import MAX_HOSTS, RefusedLinks, watched
+from hierax.runtime.watch.refused import RefusedLinks, watched
+from hierax.runtime.watch.tally import MAX_KINDS
 
 _LINK, _ACCEPT = "zenoh_link_tcp::unicast", "zenoh_transport::unicast::establishment::accept"
-CAME = f"2030 \x1b[34mDEBUG\x1b[0m acc-0 \x1b[2m{_LINK}\x1b[0m: Accepted TCP connection on 127.0.0.1:1: {{}}\n"
+CAME = f"2030 DEBUG acc-0 {_LINK}: Accepted TCP connection on 127.0.0.1:1: {{}}\n"
 REFUSED = f"2030 DEBUG acc-0 {_ACCEPT}: UsrPwd extension - Recv InitSyn. Expected extension.\n"
 ENDED = f"2030 DEBUG acc-0 {_ACCEPT}: Read error on TCP link\n"
 
@@ -24,10 +25,10 @@ def test_a_flood_of_refusals_is_few_lines() -> None:
         "refused 10.0.0.7:1: it has no key of this run (2 times by now)",
     ]
     assert len(told) == 10
-    for number in range(10 * MAX_HOSTS):
+    for number in range(10 * MAX_KINDS):
         links.take(CAME.format(f"10.1.{number}.7:1"))
         links.take(REFUSED)
-    assert len(told) < 10 + MAX_HOSTS + 12
+    assert len(told) < 10 + MAX_KINDS + 12
 
 
 @pytest.mark.parametrize(
