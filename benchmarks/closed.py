@@ -4,6 +4,7 @@
     python benchmarks/closed.py --rounds 3 --epochs 500
 
 Prints medians over the rounds, of the epochs' p50 and of the time until the first epoch, and ratios to an open launch.
+Exit code 1 where an epoch of a closed one takes more than 1.1 times as long.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import sys
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.launch.supervisor import launch
 
+CLOSED_COSTS = 1.1  # times an open launch, at most
 WAYS = {"open": None, "closed": None, "encrypted": "127.0.0.1"}  # where other machines may join
 
 
@@ -41,7 +43,8 @@ def main() -> int:
                 f"  {way} {median:.4g} {unit}, ratio {median / opened:.3f} "
                 f"(by rounds {ratios[0]:.3f} to {ratios[-1]:.3f}, median {statistics.median(ratios):.3f})"
             )
-    return 0
+    ratios = [one / other for one, other in zip(epochs_us["closed"], epochs_us["open"], strict=True)]
+    return int(statistics.median(ratios) > CLOSED_COSTS)
 
 
 if __name__ == "__main__":

@@ -33,6 +33,10 @@ PLACES = {
 }
 """By hierarchy, how many epochs, and where its nodes run; the rest is on the desk."""
 
+ROBOT_LOST, ARM_CUT = "robot lost", f"arm cut off for {CUT_S:g} s"
+SAID = {ROBOT_LOST: (f"host {ROBOT} is lost", f"is on host {DESK}, as {ROBOT} is lost")}
+"""By way, what the launch has to say of it; a link that is cut is told by the time that it takes."""
+
 Disturb = Callable[[FarHosts], object]
 
 
@@ -60,25 +64,31 @@ def launched(far: FarHosts, folder: Path, hierarchy: str, epochs: int, place: di
     ways: list[tuple[str, str, Disturb]] = [
         ("on the desk", hierarchy, lambda _: None),
         ("on three hosts", str(placed), lambda _: None),
-        ("robot lost", str(placed), lambda far: far.power_off(ROBOT)),
-        (f"arm cut off for {CUT_S:g} s", str(placed), lambda far: far.cut_for(ARM, CUT_S)),
+        (ROBOT_LOST, str(placed), lambda far: far.power_off(ROBOT)),
+        (ARM_CUT, str(placed), lambda far: far.cut_for(ARM, CUT_S)),
     ]
     sound = True
     for way, file, disturb in ways:
         begun_s = time.monotonic()
         program = Program(("launch", file, *arguments), environment(folder), far.namespaces[DESK])
         until(lambda process=program.process: process.poll() is not None or committed(far, folder) > epochs // 10)
+        disturbed = program.process.poll() is None
         disturb(far)
         assert program.ends() == 0, program.err
         report: dict[str, Any] = json.loads("".join(program.out))
         program.kill()
         equal = report["digest"] == wanted
-        sound &= equal
+        missed = [part for part in SAID.get(way, ()) if not any(part in line for line in program.err)]
+        sound &= equal and disturbed and not missed
+        if not disturbed:
+            print("    it was over before anything happened", flush=True)
+        for part in missed:
+            print(f"    nothing was said of: {part}", flush=True)
         took = f"{time.monotonic() - begun_s:.1f} s, epoch p50 {report['epoch_us']['p50'] / 1e3:.1f} ms"
         print(f"{hierarchy}, {way}: {took}, digest {'equal' if equal else 'ANOTHER ONE'}", flush=True)
         for line in program.err:
             print(f"    {line.rstrip()}", flush=True)
-        if way == "robot lost":
+        if way == ROBOT_LOST:
             far.power_on(ROBOT)
     return sound
 

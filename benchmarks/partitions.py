@@ -6,12 +6,14 @@
 Hierarchies have 2 to 12 nodes whose every result depends on every input, and are launched in one process, two, three,
 or as many as nodes, drawn node by node. One process of each is killed (SIGKILL), with all its nodes: a fifth of them as
 soon as it is there, before or while the run begins, the others within 4 ms of an epoch. Exit code 1 where a digest is
-another one than that of `run`, where more than one process was started again, or a node did not report.
+another one than that of `run`, where more than one process was started again, a node did not report, or twice as many
+launches have not come to so many kills.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from collections import Counter
@@ -25,13 +27,15 @@ from support.partitions import outcome_of  # noqa: E402
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=500, help="of launches with a kill")
+    parser.add_argument("--count", type=int, default=500, help="of kills; a launch that is over before is another one")
     parser.add_argument("--seed", type=int, default=0, help="the first one; each launch has the next")
     options = parser.parse_args()
     faults: list[str] = []
     counts: Counter[str] = Counter()
     begun = time.monotonic()
-    for seed in range(options.seed, options.seed + options.count):
+    for seed in itertools.count(options.seed):
+        if counts["kills"] == options.count or counts["launches"] == 2 * options.count:
+            break
         outcome = outcome_of(seed)
         counts["launches"] += 1
         counts["nodes"] += outcome.nodes
@@ -44,6 +48,8 @@ def main() -> int:
             print(faults[-1], flush=True)
         if counts["launches"] % 25 == 0:
             print(f"{counts['launches']} in {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+    if counts["kills"] < options.count:
+        faults.append(f"{counts['kills']} kills in {counts['launches']} launches")
     print(", ".join(f"{what} {number}" for what, number in counts.items()))
     print("all digests are those of `run`" if not faults else f"{len(faults)} faults")
     return 1 if faults else 0

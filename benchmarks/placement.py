@@ -6,8 +6,10 @@
 A chain of 8, a star of 32 around the world, and a tree of 63, of nodes that do next to nothing, each launched in one
 process, two, four, and one for each node (`--processes`); beside them `run`, and the rival of `growth_launch.py`, a
 process for each node in plain Zenoh. All take turns, so that a machine that changes its pace changes it for all.
-Figures are medians of rounds, of the epochs' p50 and p99 after a warm-up; ratios are of a round. Some sixty
-processes on few cores that others use may not come to their epochs at all: `--most 33` leaves out what has more.
+Launches are closed, as they are by themselves; those of a process for each node also open, and encrypted. Figures are
+medians of rounds, of the epochs' p50 and p99 after a warm-up; ratios are of a round. Some sixty processes on few cores
+that others use may not come to their epochs at all: `--most 33` leaves out what has more. Exit code 1 where a closed
+launch takes more than 1.1 times what an open one takes.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ from hierax.runtime.launch.supervisor import launch
 SHAPES = ("chain:8", "star:33", "tree:63")
 CUTS = (1, 2, 4)
 SINGLE, BARE = "`run`", "plain Zenoh"
+OWN, OPEN, ENCRYPTED = "each its own process", "likewise, open", "likewise, encrypted"
+CLOSED_COSTS = 1.1  # times an open launch, at most
 
 Times = Sequence[float]
 Ways = dict[str, Callable[[], Times]]
@@ -41,9 +45,9 @@ def ways(shape: str, size: int, epochs: int, most: int) -> Ways:
     """How the epochs of a hierarchy can be had, by name, with so many processes; each gives their times in µs."""
     deployment = hierarchy(shape, size, start_timeout_s=TIMEOUT_S).deployment()
 
-    def launched(processes: int) -> Times:
-        placed = replace(deployment, processes=cut(deployment.roster, processes))
-        report = launch(placed, epochs=epochs, seed=0, broken=threading.Event())
+    def launched(processes: int, host: str | None = None, **more: bool) -> Times:
+        placed = replace(deployment, processes=cut(deployment.roster, processes), **more)
+        report = launch(placed, epochs=epochs, seed=0, host=host, broken=threading.Event())
         return [1e6 * each for each in report.epochs_s]
 
     def single() -> Times:
@@ -52,16 +56,19 @@ def ways(shape: str, size: int, epochs: int, most: int) -> Ways:
     counts = [count for count in (*(each for each in CUTS if each < size), size) if count <= most]
     found: Ways = {SINGLE: single}
     found |= {_name(count, size): lambda count=count: launched(count) for count in counts}  # type: ignore[misc]
-    return found | ({BARE: lambda: bare(shape, size, epochs)} if size <= most else {})
+    if size > most:
+        return found
+    found |= {OPEN: lambda: launched(size, open=True), ENCRYPTED: lambda: launched(size, "127.0.0.1")}
+    return found | {BARE: lambda: bare(shape, size, epochs)}
 
 
 def _name(count: int, size: int) -> str:
-    return "each its own process" if count == size else "one process" if count == 1 else f"{count} processes"
+    return OWN if count == size else "one process" if count == 1 else f"{count} processes"
 
 
 def rows(taken: dict[str, list[Times]]) -> list[dict[str, Any]]:
     """What the rounds of each way come to, with ratios to the launch of a process for each node, and to the rival."""
-    others = [name for name in taken if name.startswith("each") or name in (BARE, SINGLE)]
+    others = [name for name in taken if name in (OWN, OPEN, BARE, SINGLE)]
     medians = {name: [float(np.median(times)) for times in rounds] for name, rounds in taken.items()}
     found = []
     for name, rounds in taken.items():
@@ -85,6 +92,7 @@ def main() -> int:
     parser.add_argument("--most", type=int, default=1000, help="processes of a launch, or of the rival")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    dear = False
     for each in options.shapes:
         shape, _, size = each.partition(":")
         taken: dict[str, list[Times]] = {}
@@ -93,16 +101,15 @@ def main() -> int:
                 print(f"{shape} of {size}, round {number + 1} of {options.rounds}: {name}", file=sys.stderr, flush=True)
                 taken.setdefault(name, []).append(way()[int(WARM_UP * options.epochs) :])
         table = rows(taken)
+        dear |= any(row[OPEN][0] > CLOSED_COSTS for row in table if row["way"] == OWN and OPEN in row)
         if options.json:
             print(json.dumps({"shape": shape, "nodes": int(size), "rows": table}), flush=True)
             continue
-        print(
-            f"\n{shape} of {size}: p50, p99 in µs; times a process for each node, plain Zenoh and `run` (least, most)"
-        )
+        print(f"\n{shape} of {size}: p50, p99 in µs; times {', '.join(list(table[0])[3:])} (least, most)")
         for row in table:
             ratios = [f"{ratio:6.2f} ({low:.2f}, {high:.2f})" for ratio, low, high in list(row.values())[3:]]
             print(f"  {row['way']:22} {row['p50_us']:8.0f} {row['p99_us']:8.0f}  {'  '.join(ratios)}", flush=True)
-    return 0
+    return int(dear)
 
 
 if __name__ == "__main__":

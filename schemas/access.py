@@ -96,7 +96,7 @@ def of_node(keys: Keys, name: str, *, is_world: bool = False) -> Grants:
         asks=(keys.launch,),
         asked=(keys.look(_ANY),),
         answers=(keys.look(name),),
-        lives=(keys.alive(name),),
+        lives=(keys.alive(name, _ANY if name == _ANY else process_token(name, "$*")),),
     )
 
 

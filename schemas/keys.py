@@ -46,6 +46,12 @@ def node_of(process: str) -> str:
     return process.partition("~")[0]
 
 
+def living(key: str) -> tuple[str, str] | None:
+    """The node and its process of a key on which that says that it lives; None: no process of that node does."""
+    name, token = key.split("/")[-2:]
+    return (name, token) if is_name(name) and node_of(token) == name and "*" not in token else None
+
+
 @dataclass(frozen=True, slots=True)
 class Keys:
     """The keys of one run of one deployment."""

@@ -15,10 +15,11 @@ from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, e
 from hierax.schemas.access import LAUNCH
 from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.keys import Keys
+from hierax.schemas.keys import Keys, living
 from hierax.schemas.limits import MAX_NUMBER
 from hierax.schemas.values import decode_value, encode_value
 
+MAX_LIVING = 1 << 16  # processes that are known to live
 INTRODUCE_S = 0.3  # how long it takes at most until everybody has heard of everybody
 LEAVE_S = 1.0  # how long processes that are kept elsewhere may take to go when the run is over
 
@@ -83,13 +84,16 @@ class Hub:
         """Tell of every process of a node that is gone, or cut off: the node's name and the process's token."""
 
         def changed(sample: zenoh.Sample) -> None:
-            name, token = str(sample.key_expr).split("/")[-2:]
+            process = living(str(sample.key_expr))
+            if process is None:
+                return
+            name, token = process
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._living.discard(token)
                 gone = self._on_gone
                 if gone is not None:
                     gone(name, token)
-            else:
+            elif len(self._living) < MAX_LIVING:
                 self._living.add(token)
 
         self._on_gone = on_gone

@@ -19,7 +19,7 @@ from hierax.runtime.transport.shared_arrays import ForeignArrayError, Lender, Lo
 from hierax.runtime.transport.shared_process import Handed, Neighbours, SharedInbox, hand_over
 from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.keys import Keys
+from hierax.schemas.keys import Keys, living, process_token
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.messages import HELLO, NO_EXTENSIONS, TASKS, Lend, Message, decode_message, encode_message
 
@@ -69,7 +69,7 @@ class ZenohPort(Port):
         self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
         self._keys = keys  # of the run
         self._name = name  # of the node
-        self._process = process or "0"
+        self._process = process or process_token(name, "0")
         self._closed = False
         self._shared = shared
         self._lends: dict[Lane, Lend] = {}
@@ -240,7 +240,10 @@ class ZenohPort(Port):
         """Greet a neighbour as soon as its process is there; what is lost is said again by `greet`.
 
         One that is gone may be back: its link broke, and what was under way is lost."""
-        peer, process = str(sample.key_expr).split("/")[-2:]
+        found = living(str(sample.key_expr))
+        if found is None:
+            return
+        peer, process = found
         if sample.kind != zenoh.SampleKind.PUT:
             self.absent.gone(process)
             self._lost(peer, process)

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -43,7 +44,8 @@ ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 
 LOGGED = (
     "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off,zenoh_transport::unicast::establishment=off,"
-    "zenoh_codec=off,zenoh::net::routing::hat::peer=off,zenoh_transport::unicast::universal::transport=off"
+    "zenoh_codec=off,zenoh::net::routing::hat::peer=off,zenoh_transport::unicast::universal::transport=off,"
+    "zenoh::bug=off"
 )
 """What Zenoh prints, where RUST_LOG says nothing.
 
@@ -53,19 +55,24 @@ more than greetings, which are said again until they are answered, and news that
 that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut, or is
 just closing it; what cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a
 line for each connection, with which anybody who reaches a port could fill a log; as could who declares what it may not,
-and takes it back: then Zenoh says that it knows nothing of it.
+and takes it back: then Zenoh says that it knows nothing of it. What is taken back over a link that has just gone is to
+Zenoh a bug of its own; it goes with the link.
 """
 
-_OF_REFUSALS = (
-    "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_transport::unicast::establishment::accept=debug,"
-    "zenoh::net::routing::interceptor::access_control=trace"
+_OF_LINKS = (
+    "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_transport::unicast::establishment::accept=debug"
 )
+_OF_LISTS = "zenoh::net::routing::interceptor::access_control=trace"
+READ_VERSIONS = "1.10."
+"""Of Zenoh's versions those that print what lists say of messages in words that are known: with other words members
+might be told of as if they were refused. With other versions nobody is."""
 
 
 def log_refusals() -> None:
     """Have Zenoh print the links that come in, and what its lists of who may do what say of each message, which is for
     a session that hears few; for `watch.refused`, and to be called before a session is opened."""
-    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_REFUSALS}")
+    lists = f",{_OF_LISTS}" if version("eclipse-zenoh").startswith(READ_VERSIONS) else ""
+    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_LINKS}{lists}")
 
 
 RUNTIME = "(net: (worker_threads: 8))"

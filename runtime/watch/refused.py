@@ -8,11 +8,16 @@ had no key of the run is told, with the address; likewise what a certificate doe
 import os
 import re
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 
 from hierax.runtime.watch.denied import DeniedMessages
 from hierax.runtime.watch.tally import Tally
+
+OPENS_S = 10.0  # how long Zenoh has somebody open a link
+MAX_OPENING = 64  # links of which it is known who opens them
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _OF_LINKS = re.compile(r"(?:DEBUG|WARN|ERROR) .*(zenoh_link_t(?:cp|ls)::unicast|establishment::accept): (.*)")
@@ -26,9 +31,10 @@ _OVER = "peer certificate: certificate expired"
 class RefusedLinks:
     """Takes lines of Zenoh's log, and tells who was refused a link, by machine."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    def __init__(self, tell: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._tally = Tally(tell)
-        self._came = "somebody"
+        self._clock = clock  # seconds
+        self._opening: deque[tuple[float, str]] = deque(maxlen=MAX_OPENING)  # since when, and who
 
     def take(self, line: str) -> bool:
         """Whether a line, without colours, is of who comes in."""
@@ -38,15 +44,29 @@ class RefusedLinks:
         where, what = found.groups()
         came = _CAME.match(what)
         if came is not None:
-            self._came = came[1]
+            self._opening.append((self._clock(), came[1]))
         elif what.startswith("UsrPwd extension"):
-            self._count(self._came, self._came.rpartition(":")[0], "it has no key of this run")
+            who, host = self._who()
+            self._count(who, host, "it has no key of this run")
         elif where.startswith("zenoh_link_tls") and _FAILED in what and not _BROKEN.search(what):
             # Zenoh does not tell whom
             ended = _OVER in what
             why = "its certificate has ended" if ended else "it has no certificate of this run"
             self._count("somebody", "ended" if ended else "", why)
         return True
+
+    def _who(self) -> tuple[str, str]:
+        """Who was refused, and its machine. Zenoh says who comes, and then that somebody was refused: with several that
+        come at once it is one of them, and it is not said which."""
+        while self._opening and self._clock() - self._opening[0][0] > OPENS_S:
+            self._opening.popleft()
+        hosts = {address.rpartition(":")[0] for _, address in self._opening}
+        if len(hosts) != 1:
+            return "somebody", ", ".join(sorted(hosts))
+        (host,) = hosts
+        only = len(self._opening) == 1
+        _, address = self._opening.popleft()
+        return (address if only else f"somebody at {host}"), host
 
     def _count(self, who: str, host: str, why: str) -> None:
         self._tally.count(host, f"refused {who}: {why}")
@@ -66,6 +86,7 @@ def overheard(by: Callable[[str], None], called: Mapping[str, str]) -> Iterator[
         yield
     finally:
         _listeners.remove(by)
+        _called.clear()
 
 
 @contextmanager
@@ -82,8 +103,8 @@ def watched(tell: Callable[[str], None]) -> Iterator[None]:
         with open(reading, "rb") as lines:
             for line in lines:
                 told = _COLOURS.sub("", line.decode(errors="replace"))
-                if not messages.take(told) and not links.take(told):
-                    with suppress(OSError):
+                with suppress(OSError):  # nobody reads any more what is told, or printed
+                    if not messages.take(told) and not links.take(told):
                         os.write(before, line)
 
     reader = threading.Thread(target=read, name="hierax-refused", daemon=True)

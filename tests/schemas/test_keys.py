@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.keys import Keys, check_name, check_process, node_of, process_token
+from hierax.schemas.keys import Keys, check_name, check_process, living, node_of, process_token
 
 KEYS = Keys("tracking", "run-1")
 
@@ -30,6 +30,12 @@ def test_a_process_is_known_to_be_a_nodes_by_its_token() -> None:
     for wrong in ("arm~", "~3f", "arm~3~f", "arm~*", "a/b", 3):
         with pytest.raises(SchemaError, match="is no process: expected at most 128 letters"):
             check_process(wrong)  # type: ignore[arg-type]
+
+
+def test_a_sign_of_life_is_that_of_the_node_s_own_process() -> None:
+    assert living(KEYS.alive("arm", "arm~3f")) == ("arm", "arm~3f")
+    for name, token in (("arm", "left~3f"), ("arm", "3f"), ("arm", "arm~*"), ("*", "arm~3f"), ("arm", "*"), ("*", "*")):
+        assert living(KEYS.alive(name, token)) is None, (name, token)
 
 
 @pytest.mark.parametrize("name", ["a", "N0", "arm.left_2-b", "9", "x" * 128])

@@ -3,7 +3,8 @@
 Run as ``python attacks.py ORDER.json`` with ``user``, ``endpoints``, ``hierarchy``, ``run``, ``tokens`` (of the
 processes, by node), ``secrets`` (by what they are; null: none), ``messages`` and ``bytes`` (of the floods). It prints
 JSON: by secret and mode, by attack, how much came of it. A secret with an authority shows a certificate by it.
-Doors are where another user cannot go, so the run's own user, too, tries them.
+Doors are where another user cannot go, so the run's own user, too, tries them. With ``links_only`` it links and does
+nothing more.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from hierax.runtime.host.run_secret import USER, certificates_of, issued, token_
 from hierax.runtime.transport.zenoh_session import encrypted
 from hierax.schemas.access import OPERATOR
 
+MODES = ("client", "peer")
 NOBODY = 65534
 TIMEOUT_S = 300.0
 LINKED_S = 0.5  # how long a session may take to have what it can have
@@ -43,7 +45,7 @@ def order_for(live: Any, secrets: dict[str, str | None], messages: int, size: in
     assert len(endpoints) > len(run["nodes"]), endpoints
     doors = doors_of(pids)
     if live.endpoint.startswith("tls/"):
-        endpoints += [endpoint.replace("tcp/", "tls/") for endpoint in endpoints]
+        endpoints = [endpoint.replace("tcp/", "tls/") for endpoint in endpoints] + endpoints
     assert live.endpoint in endpoints
     return {
         "pids": pids,
@@ -55,7 +57,16 @@ def order_for(live: Any, secrets: dict[str, str | None], messages: int, size: in
         "secrets": secrets,
         "messages": messages,
         "bytes": size,
+        "links_only": False,
     }
+
+
+def linked(live: Any, order: dict[str, Any], folder: Path) -> dict[str, int]:
+    """How many links somebody has by who has the run's own key, and how, where attacks are made; it does nothing with
+    them. There have to be some: else attacks come to nothing for another reason."""
+    live.is_attacked = True  # by who goes by no list of its own
+    outcome = attacked({**order, "secrets": {"the run's own key": live.secret}, "links_only": True}, folder)
+    return {who: each.get("links", 0) for who, each in outcome.items()}
 
 
 def attacked(order: dict[str, Any], folder: Path) -> Outcome:
@@ -117,10 +128,11 @@ def main() -> None:
     outcome = {
         f"{name}, {mode}": each
         for name, admission in admissions.items()
-        for mode in ("client", "peer")
+        for mode in MODES
         for each in [_by_zenoh(order, admission, mode)]
     }
-    outcome["bytes"] = {"connections that were answered": _by_bytes(order)}
+    if not order["links_only"]:
+        outcome["bytes"] = {"connections that were answered": _by_bytes(order)}
     json.dump(outcome, sys.stdout)
     sys.stdout.flush()
     os._exit(0)
@@ -153,7 +165,8 @@ def _by_zenoh(order: dict[str, Any], admission: dict[str, Any], mode: str) -> di
     except zenoh.ZError:
         return {"no session": 0}
     try:
-        return dict(_attacks(session, order))
+        attacks = _attacks(session, order)
+        return dict([next(attacks)] if order["links_only"] else attacks)
     finally:
         session.close()  # type: ignore[no-untyped-call]
 

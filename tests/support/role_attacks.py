@@ -81,7 +81,9 @@ class RoleAttack:
             declared = [session.declare_queryable(key, on_query) for key in answers]
             every = (keys.everything, keys.inbox(own or "nobody"), keys.inbox("low"), keys.control(self._tokens["low"]))
             declared += [session.declare_subscriber(key, on_sample) for key in every]
-            forged = [keys.alive(name, f"{name}~forged") for name in self._tokens if name != own]
+            others = [name for name in self._tokens if name != own]
+            forged = [keys.alive(name, f"{name}~forged") for name in others]
+            forged += [keys.alive(own, self._tokens[name]) for name in others if own]  # their processes as its own
             declared += [session.liveliness().declare_token(key) for key in forged]
             if mode == "peer":
                 until(lambda: self.witness.zid() in session.info.peers_zid(), "a link to the witness")

@@ -53,14 +53,14 @@ def test_who_waits_for_its_first_links_asks_for_itself_until_it_is_answered() ->
 def test_a_port_that_sees_its_own_sign_of_life_late_waits_on() -> None:
     keys, now = Keys("absent", token_hex(4)), 0.0
     hub = Hub(keys, None, None)
-    port = ZenohPort(open_session(connect=[hub.endpoint]), keys, "low", "process of low")
+    port = ZenohPort(open_session(connect=[hub.endpoint]), keys, "low", "low~1")
     try:
         port.absent = AbsentProcesses(lambda: now)
-        port.absent.waits("process of low")
-        own = SimpleNamespace(key_expr=keys.alive("low", "process of low"), kind=zenoh.SampleKind.PUT)
+        port.absent.waits("low~1")
+        own = SimpleNamespace(key_expr=keys.alive("low", "low~1"), kind=zenoh.SampleKind.PUT)
         port._on_alive(cast(zenoh.Sample, own))
         now = TRIES_S[FIRST_TRY]
-        assert port.absent.due() == ["process of low"]
+        assert port.absent.due() == ["low~1"]
     finally:
         port.close()
         hub.close()
@@ -69,17 +69,14 @@ def test_a_port_that_sees_its_own_sign_of_life_late_waits_on() -> None:
 def test_a_port_waits_for_its_neighbours_until_all_are_linked_and_hears_nobody_before() -> None:
     keys, now = Keys("absent", token_hex(4)), 0.0
     hub = Hub(keys, None, None)
-    ports = {
-        name: ZenohPort(open_session(connect=[hub.endpoint]), keys, name, f"process of {name}")
-        for name in ("low", "up")
-    }
+    ports = {name: ZenohPort(open_session(connect=[hub.endpoint]), keys, name, f"{name}~1") for name in ("low", "up")}
     for port in ports.values():
         port.absent = AbsentProcesses(lambda: now)
     try:
         ports["low"].link([], ["up"], 0, {}, lambda _: None)
         ports["low"].answered()  # by the owner, say, but not by its neighbour
         now = TRIES_S[FIRST_TRY]
-        assert ports["low"].absent.due() == ["process of low"]
+        assert ports["low"].absent.due() == ["low~1"]
         ports["up"].link(["low"], [], 0, {}, lambda _: None)
         linked = threading.Event()
 
@@ -113,7 +110,7 @@ def test_a_link_that_breaks_alone_is_made_again_and_both_ends_are_told() -> None
     hub = Hub(keys, None, None)
     hub.watch(lambda name, token: None)
     sessions = {name: open_session(connect=[hub.endpoint]) for name in ("low", "up")}
-    ports = {name: ZenohPort(session, keys, name, f"process of {name}") for name, session in sessions.items()}
+    ports = {name: ZenohPort(session, keys, name, f"{name}~1") for name, session in sessions.items()}
     ports["low"].link([], ["up"], 0, {}, lambda _: None)
     ports["up"].link(["low"], [], 0, {}, lambda _: None)
     mended: list[tuple[str, str]] = []
@@ -137,14 +134,14 @@ def test_a_link_that_breaks_alone_is_made_again_and_both_ends_are_told() -> None
         thread.start()
     try:
         until(greet, "the handshake")
-        until(lambda: all(hub.hears_of(f"process of {name}") for name in ports), "the tokens at the hub")
+        until(lambda: all(hub.hears_of(f"{name}~1") for name in ports), "the tokens at the hub")
         assert not mended
         assert break_link(sessions["low"], sessions["up"]) == 1
         until(lambda: not any(port.ready for port in ports.values()), "both ends to notice")
         ports["low"].send(Message(Header(OBSERVATIONS, "low", "up", 1), ()))  # lost in silence
         missed: list[str] = []
         until(lambda: bool(missed.extend(ports["low"].absent.due()) or missed), "the process to be missed")
-        assert missed == ["process of up"]
+        assert missed == ["up~1"]
         hub.introduce("nobody that is known")
         assert not greet()
         hub.introduce(missed[0])

@@ -114,9 +114,11 @@ def test_a_later_node_is_seen_and_not_as_one_of_the_file(sessions: Sessions) -> 
     keys = sessions.keys
     watching = low.liveliness().declare_subscriber(keys.alive("*"), lambda sample: tokens.append(str(sample.key_expr)))
     link(sessions.hub, low, later)
-    claimed = [later.liveliness().declare_token(keys.alive(name, "1")) for name in ("high", "world", "low", "new")]
+    claimed = [
+        later.liveliness().declare_token(keys.alive(name, f"{name}~1")) for name in ("high", "world", "low", "new")
+    ]
     until(lambda: tokens, "a sign of life")
-    assert tokens == [keys.alive("new", "1")]
+    assert tokens == [keys.alive("new", "new~1")]
     assert claimed
     watching.undeclare()
 

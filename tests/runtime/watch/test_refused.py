@@ -1,10 +1,12 @@
 """Who was refused is taken out of what Zenoh prints, and told in few lines."""
 
 import os
+from importlib.metadata import version
 
 import pytest
 
-from hierax.runtime.watch.refused import RefusedLinks, watched
+from hierax.runtime.transport.zenoh_session import READ_VERSIONS
+from hierax.runtime.watch.refused import OPENS_S, RefusedLinks, watched
 from hierax.runtime.watch.tally import MAX_KINDS
 
 _LINK, _ACCEPT = "zenoh_link_tcp::unicast", "zenoh_transport::unicast::establishment::accept"
@@ -17,8 +19,8 @@ def test_a_flood_of_refusals_is_few_lines() -> None:
     told: list[str] = []
     links = RefusedLinks(told.append)
     for number in range(1000):
-        assert links.take(CAME.format(f"10.0.0.7:{number}"))
-        assert links.take(REFUSED)
+        links.take(CAME.format(f"10.0.0.7:{number}"))
+        links.take(REFUSED)
         assert links.take(ENDED)
     assert told[:2] == [
         "refused 10.0.0.7:0: it has no key of this run",
@@ -29,6 +31,41 @@ def test_a_flood_of_refusals_is_few_lines() -> None:
         links.take(CAME.format(f"10.1.{number}.7:1"))
         links.take(REFUSED)
     assert len(told) < 10 + MAX_KINDS + 12
+
+
+def test_nobody_is_named_for_another_one() -> None:
+    told: list[str] = []
+    now = 0.0
+    links = RefusedLinks(told.append, lambda: now)
+    links.take(CAME.format("10.0.0.7:1"))
+    links.take(CAME.format("10.0.0.8:1"))
+    links.take(REFUSED)
+    now = OPENS_S + 1
+    links.take(CAME.format("10.0.0.9:1"))
+    links.take(CAME.format("10.0.0.9:2"))
+    links.take(REFUSED)
+    links.take(REFUSED)
+    links.take(REFUSED)
+    assert told == [
+        "refused somebody: it has no key of this run",
+        "refused somebody at 10.0.0.9: it has no key of this run",
+        "refused 10.0.0.9:2: it has no key of this run (2 times by now)",
+        "refused somebody: it has no key of this run",
+    ]
+
+
+def test_the_words_of_this_zenoh_are_known() -> None:
+    assert version("eclipse-zenoh").startswith(READ_VERSIONS)
+
+
+def test_what_is_printed_goes_on_where_nobody_can_be_told(capfd: pytest.CaptureFixture[str]) -> None:
+    def broken(what: str) -> None:
+        raise BrokenPipeError
+
+    with watched(broken):
+        os.write(1, CAME.format("10.0.0.7:5").encode() + REFUSED.encode())
+        os.write(1, b"a library says this\n")
+    assert capfd.readouterr().out == "a library says this\n"
 
 
 @pytest.mark.parametrize(
