@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from support import file_attacks  # noqa: E402
-from support.attacks import MODES, attacked, linked, order_for  # noqa: E402
+from support.attacks import attacked, linked, order_for  # noqa: E402
 from support.live import Live  # noqa: E402
 from support.role_attacks import RoleAttack  # noqa: E402
 
@@ -41,7 +41,7 @@ ALLOWED_BYTES = 50 << 20
 TRIED = ("put", "delete", "offer answers", "claim to live")  # by who has any certificate
 LEAST = 40  # attacks
 CALLED = {READER: "a reader", OPERATOR: "an operator", LATER: "a later node", "high": "node high"}
-_OFTEN = re.compile(r"no (key|certificate) of this run(?: \((\d+) times by now\))?")
+_OFTEN = re.compile(r"(.*)refused .*no (key|certificate) of this run(?: \((\d+) times by now\))?")
 
 
 class Row(NamedTuple):
@@ -166,11 +166,14 @@ def _launched(
         yield _memory(before)
         live.is_repeated_by()
         yield Row("digest", "", "that of `hierax run`")
-        lacks = refusals(audit)
+        lacks, by = refusals(audit)
         told = ", ".join(f"no {lack}: {count} times and more" for lack, count in sorted(lacks.items()))
-        least = len(order["secrets"]) * len(MODES)  # each has come to the launch's own port
+        least = len(outcome) - 1  # of these one has sent bytes that are none of Zenoh's
         few = "" if sum(lacks.values()) >= least else f"{told or 'nobody is told'}, of {least} at least"
-        yield Row("who was refused at the launch's port is in the audit", few, told)
+        yield Row("who was refused is in the audit", few, told)
+        silent = {*order["tokens"]} - by
+        lacking = f"not {', '.join(sorted(silent))}" if silent else ""
+        yield Row("each process tells of it", lacking, ", ".join(sorted(by)))
 
 
 def _rows(outcome: dict[str, dict[str, int]]) -> Iterator[Row]:
@@ -191,14 +194,17 @@ def _memory(before: dict[int, int]) -> Row:
     return Row("memory", "" if allowed else f"{grown >> 20} MB more", f"at most {grown / 2**20:.1f} MB more")
 
 
-def refusals(audit: Path) -> dict[str, int]:
-    """Who was refused for lack of what, and how often, as a launch has written it down."""
-    often: dict[str, int] = {}
+def refusals(audit: Path) -> tuple[dict[str, int], set[str]]:
+    """How often somebody was refused for lack of what, at least, and by processes of which nodes, by an audit."""
+    often: dict[tuple[str, str], int] = {}
     for line in messages(audit):
-        found = _OFTEN.search(line)
+        found = _OFTEN.match(line)
         if found:
-            often[found[1]] = max(often.get(found[1], 0), int(found[2] or 1))
-    return often
+            often[found[1], found[2]] = max(often.get((found[1], found[2]), 0), int(found[3] or 1))
+    lacks: dict[str, int] = {}
+    for (_, lack), count in often.items():
+        lacks[lack] = lacks.get(lack, 0) + count
+    return lacks, {by.rstrip(": ") for by, _ in often if by}
 
 
 def most_bytes(pid: int) -> int:

@@ -28,6 +28,7 @@ from hierax.runtime.launch.renewal import PARTS, renew
 from hierax.runtime.loading.allowance import Allowance, module_of
 from hierax.runtime.transport.launch_client import LaunchClient, is_gone
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.runtime.watch.refused import overheard
 from hierax.schemas.access import Access
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys, check_name, check_process
@@ -59,7 +60,8 @@ def run_attached(
             read = read_orders(orders, request, here, Path(folder))
             # of this machine's scheduler is asked what its user says, not what a launch does
             read = [replace(order, scheduling=terms[order.name].scheduling) for order in read]
-            return anyio.run(_run, read, terms, partial(new_secret, here=here), await_change, notify)
+            with overheard(notify):
+                return anyio.run(_run, read, terms, partial(new_secret, here=here), await_change, notify)
     finally:
         remove_orphaned_segments()
 

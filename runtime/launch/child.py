@@ -34,6 +34,7 @@ from hierax.runtime.launch.frames import (
 )
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
+from hierax.runtime.watch.refused import RefusedLinks, tell_all
 from hierax.schemas.values import Value
 
 END_TIMEOUT_S = 1.5  # how long processes may take to end when the run is broken off
@@ -54,7 +55,8 @@ class Overhearing:
 
     def of(self, name: str) -> "Overheard":
         """A pipe for a node's process."""
-        return Overheard(Lines(name, self._out, lambda line: self.note(name, line)))
+        links = RefusedLinks(self.refused, by=name)
+        return Overheard(Lines(name, self._out, lambda line: self.note(name, line), links.take))
 
     def passed_on(self) -> Lines:
         """What takes in lines that are named already, and shows them as they are."""
@@ -65,6 +67,10 @@ class Overhearing:
         os.close(self.console)
         if self._log is not None:
             self._log.close()
+
+    def refused(self, what: str) -> None:
+        """Somebody was refused a link by a process of a node."""
+        tell_all(what)
 
     def note(self, name: str, line: str) -> None:
         """Have the log hold a line that a node's process has printed."""

@@ -159,6 +159,8 @@ class FarHost:
     def _take(self, value: Mapping[str, Any], overhearing: Overhearing) -> None:
         if "printed" in value:
             overhearing.note(value["printed"], value["line"])
+        if isinstance(value.get("refused"), str):
+            overhearing.refused(value["refused"])
         for kind in ("started", "from", "ended"):
             children = self._processes.get(value.get(kind, ""))
             if children:

@@ -13,6 +13,7 @@ its children (`hierax.runtime.launch.frames`), over its standard input and outpu
     {"started": PROCESS, "pid": 4711}
     {"from": PROCESS, "data": b"…"}              from that process's standard output
     {"printed": NODE, "line": "…"}               what libraries print, for the launch's log
+    {"refused": "…"}                             who was refused a link by a process here
     {"ended": PROCESS, "code": 0}
     {}                                           the keeper lives
 
@@ -153,14 +154,14 @@ class Keeper:
         child.close()
         await self._say({"ended": child.token, "code": child.process.returncode})
 
-    def print(self, node: str, line: str) -> None:
-        """A line that a library has printed."""
+    def print(self, line: Mapping[str, Value]) -> None:
+        """A line that a library has printed, or what follows from it."""
         if self._lines < MAX_LINES:
             self._lines += 1
-            self._tasks.start_soon(self._say_line, node, line)
+            self._tasks.start_soon(self._say_line, line)
 
-    async def _say_line(self, node: str, line: str) -> None:
-        await self._say({"printed": node, "line": line})
+    async def _say_line(self, line: Mapping[str, Value]) -> None:
+        await self._say(dict(line))
         self._lines -= 1
 
     async def _beat(self) -> None:
@@ -198,7 +199,10 @@ class _Overhearing(Overhearing):
         self._keeper = keeper
 
     def note(self, name: str, line: str) -> None:
-        self._keeper.print(name, line)
+        self._keeper.print({"printed": name, "line": line})
+
+    def refused(self, what: str) -> None:
+        self._keeper.print({"refused": what})
 
 
 def _here() -> Value:

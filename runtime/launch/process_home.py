@@ -18,6 +18,7 @@ from hierax.runtime.transport.zenoh_session import (
     door_at,
     endpoint_at,
     knocking_at,
+    log_links,
     open_session,
 )
 from hierax.schemas.keys import Keys
@@ -65,6 +66,7 @@ class ProcessHome:
 
 
 def _opened(order: NodeOrder) -> Any:
+    log_links()
     access = None
     if order.access is not None:
         access = access_control(Keys(order.deployment, order.run), order.access)

@@ -305,7 +305,8 @@ class Supervisor:
         graceful = self._graceful
         if graceful is not None:
             await graceful.collect()
-        await self._processes.end_all(END_TIMEOUT_S if graceful is None else CLOSE_S)
+        # what nodes have said last is still on its way to a recorder
+        await self._processes.end_all(CLOSE_S if graceful is not None and self._recorder is None else END_TIMEOUT_S)
         if graceful is not None:
             graceful.recall()
         self._processes.close()

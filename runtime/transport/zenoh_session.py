@@ -60,7 +60,8 @@ Zenoh a bug of its own; it goes with the link.
 """
 
 _OF_LINKS = (
-    "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_transport::unicast::establishment::accept=debug"
+    "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_link_unixsock_stream::unicast=debug,"
+    "zenoh_transport::unicast::establishment::accept=debug"
 )
 _OF_LISTS = "zenoh::net::routing::interceptor::access_control=trace"
 READ_VERSIONS = "1.10."
@@ -68,9 +69,13 @@ READ_VERSIONS = "1.10."
 might be told of as if they were refused. With other versions nobody is."""
 
 
+def log_links() -> None:
+    """Have Zenoh print the links that come in, for `watch.refused`; to be called before a session is opened."""
+    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_LINKS}")
+
+
 def log_refusals() -> None:
-    """Have Zenoh print the links that come in, and what its lists of who may do what say of each message, which is for
-    a session that hears few; for `watch.refused`, and to be called before a session is opened."""
+    """Likewise, and what Zenoh's lists of who may do what say of each message: for a session that hears few."""
     lists = f",{_OF_LISTS}" if version("eclipse-zenoh").startswith(READ_VERSIONS) else ""
     zenoh.init_log_from_env_or(f"{LOGGED},{_OF_LINKS}{lists}")
 

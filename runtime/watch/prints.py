@@ -84,10 +84,15 @@ def _unblocking(descriptor: int) -> int:
 
 
 class Lines(io.RawIOBase):
-    """Takes bytes, gives lines to a log, and to the console with a name before each, if there is one."""
+    """Takes bytes, gives lines to a log, and to the console with a name before each, if there is one; not those that
+    are somebody else's to tell, who is given them first."""
 
-    def __init__(self, name: str, console: Console, log: Callable[[str], None]) -> None:
+    def __init__(
+        self, name: str, console: Console, log: Callable[[str], None], tells: Callable[[str], bool] = lambda line: False
+    ) -> None:
         super().__init__()
+        self._tells = tells  # whether somebody else tells of a line
+        self._is_told = False  # whether it was so of the beginning of what comes
         self._prefix = f"{name}: ".encode() if name else b""
         self._console = console
         self._log = log
@@ -103,13 +108,22 @@ class Lines(io.RawIOBase):
     def write(self, data: Any) -> int:
         self._begun += data
         *lines, rest = bytes(self._begun).split(b"\n")
+        whole = len(lines)
         if len(rest) > LINE_BYTES:
             lines, rest = [*lines, rest], b""
         self._begun[:] = rest
-        for line in lines:
-            self._console.write(self._prefix + line + b"\n")
-            self._log(line.decode(errors=_ERRORS))
+        for number, line in enumerate(lines):
+            self._take(line, ends=number < whole)
         return len(data)
+
+    def _take(self, line: bytes, ends: bool) -> None:
+        """Take a line, or a piece of one that does not end there."""
+        told = line.decode(errors=_ERRORS)
+        is_told = self._is_told or self._tells(told)
+        self._is_told = is_told and not ends
+        if not is_told:
+            self._console.write(self._prefix + line + b"\n")
+            self._log(told)
 
     def end(self) -> None:
         """Take it that nothing more comes: what was begun is a line."""

@@ -12,7 +12,7 @@ from support.launched import environment
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.watch import prints
-from hierax.runtime.watch.prints import Console, Lines, NamedLines
+from hierax.runtime.watch.prints import LINE_BYTES, Console, Lines, NamedLines
 
 TALKING = """
 import logging
@@ -140,6 +140,19 @@ def test_a_console_that_nobody_reads_holds_nobody_up(tmp_path: Path) -> None:
     shown = len(last) - 2
     assert last[:shown] == [f"arm: {number}" for number in range(shown)]
     assert last[-2] == f"{20_000 - shown} lines were left out here, as nobody read them"
+    for descriptor in (reading, writing):
+        os.close(descriptor)
+
+
+def test_what_somebody_else_tells_is_neither_shown_nor_logged_however_long_it_is() -> None:
+    reading, writing = os.pipe()
+    logged: list[str] = []
+    lines = Lines("arm", Console(writing), logged.append, lambda line: line.startswith("zenoh"))
+    lines.write(b"one\nzenoh: " + b"x" * (2 * LINE_BYTES))
+    lines.write(b"x" * (2 * LINE_BYTES))
+    lines.write(b"x\ntwo\nzenoh: short\nthree\n")
+    assert logged == ["one", "two", "three"]
+    assert os.read(reading, 1 << 16) == b"arm: one\narm: two\narm: three\n"
     for descriptor in (reading, writing):
         os.close(descriptor)
 

@@ -10,6 +10,7 @@ from hierax.runtime.watch.refused import OPENS_S, RefusedLinks, watched
 from hierax.runtime.watch.tally import MAX_KINDS
 
 _LINK, _ACCEPT = "zenoh_link_tcp::unicast", "zenoh_transport::unicast::establishment::accept"
+_DOOR = "zenoh_link_unixsock_stream::unicast"
 CAME = f"2030 DEBUG acc-0 {_LINK}: Accepted TCP connection on 127.0.0.1:1: {{}}\n"
 REFUSED = f"2030 DEBUG acc-0 {_ACCEPT}: UsrPwd extension - Recv InitSyn. Expected extension.\n"
 ENDED = f"2030 DEBUG acc-0 {_ACCEPT}: Read error on TCP link\n"
@@ -36,10 +37,11 @@ def test_a_flood_of_refusals_is_few_lines() -> None:
 def test_nobody_is_named_for_another_one() -> None:
     told: list[str] = []
     now = 0.0
-    links = RefusedLinks(told.append, lambda: now)
+    links = RefusedLinks(told.append, clock=lambda: now)
     links.take(CAME.format("10.0.0.7:1"))
     links.take(CAME.format("10.0.0.8:1"))
     links.take(REFUSED)
+    links.take(CAME.format("10.0.0.5:1"))
     now = OPENS_S + 1
     links.take(CAME.format("10.0.0.9:1"))
     links.take(CAME.format("10.0.0.9:2"))
@@ -51,6 +53,24 @@ def test_nobody_is_named_for_another_one() -> None:
         "refused somebody at 10.0.0.9: it has no key of this run",
         "refused 10.0.0.9:2: it has no key of this run (2 times by now)",
         "refused somebody: it has no key of this run",
+    ]
+
+
+def test_who_has_got_a_link_was_not_refused_one() -> None:
+    told: list[str] = []
+    links = RefusedLinks(told.append, by="low")
+    door = f'2030 DEBUG acc-0 {_DOOR}: Accepted UnixSocketStream connection on: "/a/0.door" (pathname)\n'
+    for came, dst in ((CAME.format("10.0.0.7:1"), "tcp/10.0.0.7:1"), (door, "unixsock-stream/5fc2")):
+        assert links.take(came)
+        link = f"TransportLinkUnicast {{ link: Link {{ src: tcp/10.0.0.1:7, dst: {dst}, is_streamed: true }} }}"
+        assert links.take(f"2030 DEBUG acc-0 {_ACCEPT}: New transport link accepted from 1f to 2f: {link}\n")
+    links.take(CAME.format("10.0.0.8:1"))
+    links.take(REFUSED)
+    links.take(door)
+    links.take(REFUSED)
+    assert told == [
+        "low: refused 10.0.0.8:1: it has no key of this run",
+        "low: refused somebody at its socket in the run's folder: it has no key of this run",
     ]
 
 
