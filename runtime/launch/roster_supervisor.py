@@ -129,10 +129,10 @@ class RosterSupervisor(ProcessSupervisor):
             self._beat = anyio.Event()
         elif status == frames.FINISHED:
             self.epoch = value["epoch"]
-            if self._last_nodes is None:  # a further process of the world's knows of nobody any more
-                self._last_nodes = [name for name, token in value["processes"].items() if self.child(token) is not None]
-            self._on_members(value["processes"])
             self._last_roster = Roster.read(value["roster"])
+            if self._last_nodes is None:
+                self._last_nodes = self._nodes_here(value["processes"], self._last_roster)
+            self._on_members(value["processes"])
             self.finished.set()
         elif status == frames.NOTE:
             self.notify(value["what"])
@@ -145,6 +145,13 @@ class RosterSupervisor(ProcessSupervisor):
         elif status == frames.HALT:
             why, culprit = value["why"], self.current.get(value["why"].partition(":")[0])
             self.fail(culprit.failed_as(why) if culprit else NodeFailedError(why))
+
+    def _nodes_here(self, processes: Mapping[str, str], roster: Roster) -> list[str]:
+        """Those of the last nodes that were started here. A process of the world's that comes up after the last epoch
+        knows of nobody any more: the one before may have died before it could say that it had finished."""
+        if processes:
+            return [name for name, token in processes.items() if self.child(token) is not None]
+        return [name for name in roster.nodes if name in self.current and name not in self._elsewhere()]
 
     def _elsewhere(self) -> dict[str, str]:
         """The processes started elsewhere of nodes in force: a new process of the world's names none that is lost."""

@@ -11,12 +11,13 @@ import pytest
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch import roster_supervisor
 from hierax.runtime.launch.child import Child, ProcessState, Restarts
-from hierax.runtime.launch.frames import BEAT, COME_BACK, FAILED, REPORT, UP, NodeOrder
+from hierax.runtime.launch.frames import BEAT, COME_BACK, FAILED, FINISHED, REPORT, UP, NodeOrder
 from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.control import Control, Lost
+from hierax.schemas.roster import Reference, Roster
 
 
 class Deployment:
@@ -90,6 +91,25 @@ def test_a_lost_node_that_is_kept_elsewhere_is_still_known_when_the_world_is_new
         assert supervisor.members == {"world": "w2", "top": "t"}
         beat(supervisor, {"world": "w2"}, ("world",))
         assert supervisor.members == {"world": "w2"}, "it was detached"
+
+    supervised(main)
+
+
+def test_whose_world_dies_with_the_last_epoch_still_has_all_its_nodes_report() -> None:
+    """The next process of the world's says that it has finished, and knows of nobody any more."""
+    roster = Roster(
+        nodes={name: Reference(f"a:{name}", {}) for name in ("world", "low", "top")}, edges=(), world="world"
+    )
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        supervisor.current["low"] = low = Child(cast(NodeOrder, Order()), cast(Any, Process()), cast(Any, None))
+        supervisor.instances = {"top": 1}
+        supervisor.members = {"top": "t"}  # kept elsewhere
+        world = supervisor.current["world"]
+        said = {"status": FINISHED, "epoch": 60, "processes": {}, "roster": roster.plain()}
+        supervisor._take(world, said)
+        assert supervisor.present == [low, world]
+        assert supervisor.finished.is_set()
 
     supervised(main)
 
