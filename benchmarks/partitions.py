@@ -5,9 +5,9 @@
 
 Hierarchies have 2 to 12 nodes whose every result depends on every input, and are launched in one process, two, three,
 or as many as nodes, drawn node by node. One process of each is killed (SIGKILL), with all its nodes: a fifth of them as
-soon as it is there, before or while the run begins, the others within 4 ms of an epoch. Exit code 1 where a digest is
-another one than that of `run`, where more than one process was started again, a node did not report, or twice as many
-launches have not come to so many kills.
+soon as it is there, before or while the run begins, a tenth with the last epoch, the others within 4 ms of an epoch.
+Exit code 1 where a digest is another one than that of `run`, where more than one process was started again, a node did
+not report, or twice as many launches have not come to so many kills.
 """
 
 from __future__ import annotations

@@ -38,6 +38,7 @@ READ_BYTES = 1 << 16  # at once, of a pipe
 _LENGTH = struct.Struct("<I")
 
 STOP = "stop"  # command, a map: do all up to the run's last epoch, report, exit
+ROSTER = "roster"  # beside it: the last one, for who came back to a run that was over
 # What is no command is a control message for the roster's owner, as bytes.
 FINISH = "finish"  # command to the world: the epoch under way is the last one
 LEAVE = "leave"  # command, a map: report the last epoch committed (None: the world knows it) at once, and exit

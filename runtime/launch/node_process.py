@@ -24,7 +24,18 @@ import anyio.to_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import name_process, own_input, own_output
-from hierax.runtime.launch.frames import FINISH, KEPT, LEAVE, RENEW, RENEWED, STOP, Frames, NodeOrder, next_frames
+from hierax.runtime.launch.frames import (
+    FINISH,
+    KEPT,
+    LEAVE,
+    RENEW,
+    RENEWED,
+    ROSTER,
+    STOP,
+    Frames,
+    NodeOrder,
+    next_frames,
+)
 from hierax.runtime.launch.kept_elsewhere import ToldRecords
 from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.launch.process_home import ProcessHome
@@ -204,7 +215,7 @@ def _obey(worker: NodeWorker, command: Value) -> None:
     elif isinstance(command, dict) and KEPT in command:
         worker.kept(command[KEPT])
     elif isinstance(command, dict) and STOP in command:
-        worker.stop(command[STOP])
+        worker.stop(command[STOP], command.get(ROSTER))
     elif isinstance(command, dict):
         worker.leave(command[LEAVE])
     else:

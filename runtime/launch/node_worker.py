@@ -99,6 +99,7 @@ class NodeWorker:
         self._loop: NodeLoop | None = None
         self._processes: Mapping[str, str] | None = None
         self._leaves = False
+        self._over: Roster | None = None  # the last one, where the run may have been over before it was taken in
         self._epoch: int | None = None
         # then the session is not closed: what still comes from its peers would be reported as errors
         self.hurried = False
@@ -110,9 +111,11 @@ class NodeWorker:
         engine = None if self._member is None else self._member.engine
         return (0, 0) if engine is None else (engine.epoch, engine.attempt)
 
-    def stop(self, last: int | None = None) -> None:
+    def stop(self, last: int | None = None, roster: Value = None) -> None:
         """Make the node's thread come to its end: at once, or when all is done up to the last epoch, as it is
-        committed."""
+        committed. With the last roster it reports even where nobody has taken it in."""
+        if roster is not None:
+            self._over = Roster.read(roster)
         if self._loop is not None:
             self._loop.last = last
         self._stopping.set()
@@ -297,6 +300,8 @@ class NodeWorker:
                 member = self._begin(seat, port, slots)
             if self._member is not None:
                 self._run(self._member, port)
+            if member is not None and member.runner is None and self._over is not None and not self.hurried:
+                member.recall(seat.wire(self._over))
             if self._leaves:  # nobody waits for what probes do at their end
                 return self._part(member)
         finally:

@@ -110,6 +110,12 @@ class RosterSupervisor(ProcessSupervisor):
         told = {child.name: child for child in self.children if child.report is not None}
         return [told.get(name, self.current[name]) for name in self._last_nodes]
 
+    async def stop(self, child: Child) -> None:
+        """Have a process do all up to the run's last epoch, report, and exit. One that came back, and that nobody has
+        taken in, as the run was over, reports what its checkpoint tells; for that it needs the last roster."""
+        over = self._last_roster if child.order.life == frames.COME_BACK else None
+        await child.send({frames.STOP: self.epoch, **({} if over is None else {frames.ROSTER: over.plain()})})
+
     # --- what the processes say
 
     def _take(self, child: Child, value: dict[str, Any]) -> None:
@@ -147,11 +153,12 @@ class RosterSupervisor(ProcessSupervisor):
             self.fail(culprit.failed_as(why) if culprit else NodeFailedError(why))
 
     def _nodes_here(self, processes: Mapping[str, str], roster: Roster) -> list[str]:
-        """Those of the last nodes that were started here. A process of the world's that comes up after the last epoch
-        knows of nobody any more: the one before may have died before it could say that it had finished."""
-        if processes:
-            return [name for name, token in processes.items() if self.child(token) is not None]
-        return [name for name in roster.nodes if name in self.current and name not in self._elsewhere()]
+        """Those of the last nodes that were started here, and are there or come back. A process of the world's that
+        comes up after the last epoch knows only of those that live; the one before may have died before it could say
+        that it had finished, and others with it."""
+        tokens = {**self.members, **processes}
+        here = [name for name in roster.nodes if name not in tokens or self.child(tokens[name]) is not None]
+        return [name for name in here if name in processes or self._runs(name) or self._comes_back(name)]
 
     def _elsewhere(self) -> dict[str, str]:
         """The processes started elsewhere of nodes in force: a new process of the world's names none that is lost."""
@@ -320,7 +327,7 @@ class RosterSupervisor(ProcessSupervisor):
         again = await self.start_together([self._order_again(child, tokens[child.name], living) for child in children])
         for child in again:
             if child.order.life == frames.TO_REPORT:
-                await child.send({frames.STOP: self.epoch})
+                await self.stop(child)
         self._heard_s = self._clock()
         if self._world in tokens:
             await self._send_deaths(living)

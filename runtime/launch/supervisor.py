@@ -22,7 +22,7 @@ from hierax.runtime.host.run_secret import certificates_of, new_secret
 from hierax.runtime.launch.audit import Audit, proof_of
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.fork_server import ForkServer
-from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP, new_process
+from hierax.runtime.launch.frames import BEGIN, COME_BACK, new_process
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
 from hierax.runtime.launch.hosts import Hosts, Reached, reached
 from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError, access_of
@@ -297,7 +297,7 @@ class Supervisor:
             for child in silent:  # some may have been started in the place of others that were killed meanwhile
                 if child.token not in told:
                     told.add(child.token)
-                    await child.send({STOP: self._processes.epoch})
+                    await self._processes.stop(child)
             await anyio.sleep(POLL_S)
 
     async def _end_all(self) -> None:

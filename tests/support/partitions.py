@@ -132,13 +132,20 @@ def outcome_of(seed: int, epochs: int = EPOCHS, at: int | None = None) -> Outcom
     )
 
 
+def _drawn(rng: random.Random, epochs: int) -> int:
+    """After which epoch a process is killed; 0: at once."""
+    drawn = rng.random()
+    return 0 if drawn < 0.2 else epochs - 1 if drawn < 0.3 else rng.randint(1, epochs // 3)
+
+
 class _Victim:
-    """Kills the process of a node at an epoch, or a fifth of all times from its first instant on."""
+    """Kills the process of a node at an epoch; a fifth of all times from its first instant on, and a tenth as the last
+    epoch comes, where the run may be over before anybody has said so."""
 
     def __init__(self, rng: random.Random, deployment: Deployment, state: Path, epochs: int, at: int | None) -> None:
         self._node = rng.choice(sorted(deployment.roster.nodes))
         self._lock = state / f"{self._node}.lock"
-        self._epoch = (0 if rng.random() < 0.2 else rng.randint(1, epochs // 3)) if at is None else at
+        self._epoch = _drawn(rng, epochs) if at is None else at
         self._delay_s = 0.004 * rng.random()
         self._mates = next(names for names in deployment.processes.values() if self._node in names)
         self._reached = threading.Event()

@@ -11,7 +11,7 @@ import pytest
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch import roster_supervisor
 from hierax.runtime.launch.child import Child, ProcessState, Restarts
-from hierax.runtime.launch.frames import BEAT, COME_BACK, FAILED, FINISHED, REPORT, UP, NodeOrder
+from hierax.runtime.launch.frames import BEAT, COME_BACK, FAILED, FINISHED, REPORT, ROSTER, STOP, UP, Frames, NodeOrder
 from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
@@ -96,7 +96,7 @@ def test_a_lost_node_that_is_kept_elsewhere_is_still_known_when_the_world_is_new
 
 
 def test_whose_world_dies_with_the_last_epoch_still_has_all_its_nodes_report() -> None:
-    """The next process of the world's says that it has finished, and knows of nobody any more."""
+    """The next process of the world's says that it has finished, and knows of few any more."""
     roster = Roster(
         nodes={name: Reference(f"a:{name}", {}) for name in ("world", "low", "top")}, edges=(), world="world"
     )
@@ -112,6 +112,26 @@ def test_whose_world_dies_with_the_last_epoch_still_has_all_its_nodes_report() -
         assert supervisor.finished.is_set()
 
     supervised(main)
+
+
+def test_who_comes_back_is_stopped_with_the_last_roster() -> None:
+    told: list[Any] = []
+
+    class Listens(Process):
+        async def send(self, data: bytes) -> None:
+            told.extend(Frames().feed(data))
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        child = Child(cast(NodeOrder, Order()), cast(Any, Listens()), cast(Any, None))
+        await supervisor.stop(child)
+        roster = Roster("world", {"world": Reference("a:world")}, ())
+        said = {"status": FINISHED, "epoch": 60, "processes": {}, "roster": roster.plain()}
+        supervisor._take(supervisor.current["world"], said)
+        await supervisor.stop(child)
+
+    supervised(main)
+    assert [command for _, command in told] == [{STOP: 0}, {STOP: 60, ROSTER: told[1][1][ROSTER]}]
+    assert Roster.read(told[1][1][ROSTER]).world == "world"
 
 
 def test_a_process_that_goes_before_its_place_is_known_here_is_told_of() -> None:
