@@ -24,6 +24,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from closed import CLOSED_COSTS
 from growth import hierarchy
 from growth_launch import TIMEOUT_S, WARM_UP, bare
 
@@ -35,7 +36,6 @@ SHAPES = ("chain:8", "star:33", "tree:63")
 CUTS = (1, 2, 4)
 SINGLE, BARE = "`run`", "plain Zenoh"
 OWN, OPEN, ENCRYPTED = "each its own process", "likewise, open", "likewise, encrypted"
-CLOSED_COSTS = 1.1  # times an open launch, at most
 
 Times = Sequence[float]
 Ways = dict[str, Callable[[], Times]]

@@ -34,7 +34,7 @@ from hierax.runtime.launch.frames import (
 )
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
-from hierax.runtime.watch.refused import RefusedLinks, tell_all
+from hierax.runtime.watch.refused import RefusedLinks, plain, tell_all
 from hierax.schemas.values import Value
 
 END_TIMEOUT_S = 1.5  # how long processes may take to end when the run is broken off
@@ -56,7 +56,9 @@ class Overhearing:
     def of(self, name: str) -> "Overheard":
         """A pipe for a node's process."""
         links = RefusedLinks(self.refused, by=name)
-        return Overheard(Lines(name, self._out, lambda line: self.note(name, line), links.take))
+        return Overheard(
+            Lines(name, self._out, lambda line: self.note(name, line), lambda line: links.take(plain(line)))
+        )
 
     def passed_on(self) -> Lines:
         """What takes in lines that are named already, and shows them as they are."""

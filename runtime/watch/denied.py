@@ -40,9 +40,8 @@ class DeniedMessages:
     def __init__(self, tell: Callable[[str], None], called: Callable[[str], str]) -> None:
         self._tally = Tally(tell)
         self._called = called  # how people call who has a name in a certificate
-        self._looks: dict[
-            str, tuple[str, int]
-        ] = {}  # by thread, the key that is looked up, and how many lines are left
+        # by thread, the key that is looked up, and how many lines are left
+        self._looks: dict[str, tuple[str, int]] = {}
         self._roles: dict[str, str] = {}  # by a session's id
 
     def take(self, line: str) -> bool:
@@ -54,8 +53,10 @@ class DeniedMessages:
         looks_up = _LOOKS_UP.match(what)
         if looks_up is not None:
             self._looks[thread] = looks_up["key"], _IN_A_LOOK
-        elif "authorized to" in what and not self._is_looked_up(thread, what):
-            self._judge(what)
+        elif "authorized to" in what:
+            self._learn(what)
+            if not self._is_looked_up(thread, what):
+                self._judge(what)
         return True
 
     def _is_looked_up(self, thread: str, what: str) -> bool:
@@ -64,15 +65,12 @@ class DeniedMessages:
         if not left or what.startswith("Using cached") or not what.endswith(f" on {key}"):
             return False
         self._looks[thread] = key, left - 1
-        self._learn(what)
         return True
 
     def _judge(self, what: str) -> None:
         denied = _DENIED.match(what)
         if denied is None or denied["message"] not in _TRIED:
-            self._learn(what)
             return
-        self._learn(what)
         role = self._roles.get(denied["zid"], "somebody")
         if role == LAUNCH:
             return  # another session of this process, which does not hear what is listened to here for who is refused

@@ -52,8 +52,8 @@ class RefusedLinks:
         self._opening: deque[tuple[float, str]] = deque(maxlen=MAX_OPENING)  # since when, and who
 
     def take(self, line: str) -> bool:
-        """Whether a line is of who comes in."""
-        found = _OF_LINKS.search(plain(line))
+        """Whether a line, without colours, is of who comes in."""
+        found = _OF_LINKS.search(line)
         if found is None:
             return False
         where, what = found.groups()
@@ -114,7 +114,8 @@ def overheard(by: Callable[[str], None], called: Mapping[str, str] = MappingProx
         yield
     finally:
         _listeners.remove(by)
-        _called.clear()
+        for role in called:
+            _called.pop(role, None)
 
 
 @contextmanager
