@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, get_type_hints
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import DIGEST_BYTES, TYPE_NAMES, Message, decode_message
 from hierax.schemas.roster import Roster
-from hierax.schemas.values import PACKERS, Value, decode_value, encode_value, fits, pack
+from hierax.schemas.values import PACKERS, Value, decode_value, encode_value, fits, is_sound, pack
 
 FORMAT = 3
 
@@ -180,10 +180,10 @@ def encode_under_way(
     gathered: Mapping[str, tuple[Value, ...]] | None = None,
 ) -> bytes:
     """The bytes of an `UnderWay`, its messages encoded already. Raises `SchemaError` if the belief is no value."""
-    if sensed is None and not gathered:
-        return pack(((), tuple(said), tuple(forgotten)), PACKERS)
     fields = (() if sensed is None else sensed, tuple(said), tuple(forgotten))
-    return encode_value((*fields, gathered) if gathered else fields)
+    if gathered or not (sensed is None or is_sound(sensed, 1)):
+        return encode_value((*fields, gathered) if gathered else fields)
+    return pack(fields, PACKERS)
 
 
 def decode_under_way(data: bytes, where: str = "under_way") -> UnderWay:

@@ -21,14 +21,13 @@ class ComingEpochs:
         """The node is in another epoch."""
         self._epoch, passed = epoch, self._passed
         self.next = passed[0].next(epoch) if len(passed) == 1 else min(turns.next(epoch) for turns in passed)
-        if self._drained:
-            self._drained = {drained for drained in self._drained if drained > epoch}
-        self._sort()
-
-    def _sort(self) -> None:
         self.epochs: tuple[int, ...] = (self.next,)
         if self._drained:
-            self.epochs = (*sorted(epoch for epoch in self._drained if epoch < self.next), self.next)
+            self._drained = {drained for drained in self._drained if drained > epoch}
+            self._sort()
+
+    def _sort(self) -> None:
+        self.epochs = (*sorted(epoch for epoch in self._drained if epoch < self.next), self.next)
 
     def include(self, epoch: int, is_drained: bool) -> bool:
         """Whether observations of an epoch are wanted; of others, who has the same rates sends none."""

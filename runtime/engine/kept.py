@@ -20,6 +20,13 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
                 return False
         return True
 
+    def lacks(self, counting: Mapping[Slot, int]) -> bool:
+        """Whether something is `lacking`."""
+        for slot, epoch in counting.items():  # noqa: SIM110 - as above
+            if epoch and epoch not in self[slot]:
+                return True
+        return False
+
     def lacking(self, counting: Mapping[Slot, int]) -> list[Slot]:
         """Of which slots what counts has not come: by slot, the epoch that counts; 0: nothing does yet."""
         return [slot for slot, epoch in counting.items() if epoch and epoch not in self[slot]]
@@ -35,12 +42,15 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
         for slot, epoch in since.items():
             self.forget(slot, epoch)
 
-    def take(self, slot: Slot, epoch: int) -> Message:
+    def taken(self, slots: Iterable[Slot], epoch: int) -> dict[Slot, Message]:
         """What counts in this epoch alone; nothing of those before it counts any more."""
-        message = self[slot].pop(epoch)
-        if self[slot]:
-            self.forget(slot, epoch)
-        return message
+        taken = {}
+        for slot in slots:
+            kept = self[slot]
+            taken[slot] = kept.pop(epoch)
+            if kept:
+                drop_before(kept, epoch)
+        return taken
 
 
 def drop_before(messages: dict[int, Any], before: int) -> None:

@@ -1,7 +1,7 @@
 """The rates of a hierarchy as one node has them, laid out so that little is left to do in an epoch."""
 
 from hierax.runtime.engine.wiring import Slot, Wiring
-from hierax.schemas.rates import EVERY_EPOCH, Rates, includes
+from hierax.schemas.rates import EVERY_EPOCH, EdgeRates, Rates, includes
 
 
 class OwnRates:
@@ -17,26 +17,32 @@ class OwnRates:
         name = self._name = node.name
         self.passes = rates.passes(name)  # the epochs of which it is told
         self._above = {slot: rates.edge(name, slot[0]) for slot in wiring.above}
+        self._at_once = set(self._above.values()) <= {EdgeRates(1, 0, 0)}
         self._below = {lower: rates.edge(lower, name) for lower in node.below}
         self._told = tuple((upper, rates.passes(upper)) for upper in node.above)
         since = rates.timing.since
         turns = {each: rates.turns_of(each) for each in (name, *node.above)}
         self._turns = {each: (its.every, its.offset, since.get(each, 1)) for each, its in turns.items()}
+        self._each_epoch = set(self._turns.values()) == {(1, 0, 1)}
         self._gathered = frozenset(upper for upper in node.above if (name, upper) in rates.gathers)
         self._all = frozenset(node.above)
         self._tells_all = all(EVERY_EPOCH in passed for _, passed in self._told)
 
     def takes_part(self, name: str, epoch: int) -> bool:
         """Whether an epoch is a turn of the node, or of a neighbour above."""
+        if self._each_epoch:
+            return True
         every, offset, first = self._turns[name]
         return (epoch - offset) % every == 0 and epoch >= first
 
     def is_sensed(self, upper: str, epoch: int) -> bool:
         """Whether φ of the edge to a neighbour above is applied: in its turns; where that gathers, in the node's."""
-        return self.takes_part(self._name if upper in self._gathered else upper, epoch)
+        return self._each_epoch or self.takes_part(self._name if upper in self._gathered else upper, epoch)
 
     def counting(self, epoch: int) -> dict[Slot, int]:
         """By slot, the epoch whose input from above counts in a turn of the node; 0: there is none yet."""
+        if self._at_once:
+            return dict.fromkeys(self._above, epoch)
         return {slot: edge.in_force(epoch) for slot, edge in self._above.items()}
 
     def oldest(self, slot: Slot, epoch: int) -> int:
