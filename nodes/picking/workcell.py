@@ -1,9 +1,9 @@
 """Arm, gripper, table and cubes: pybullet as a pure function of values.
 
-As in `hierax.nodes.tracking.imagery.physics`, the client is emptied and built again from the values
-at every call. What is lost thereby, the contacts that the solver had, it finds again within
-a step: a cube that the gripper holds slips by a fraction of a millimetre a second
-(docs/decisions/0017). There is no constraint between anything: a cube is held by friction.
+As in `hierax.nodes.tracking.imagery.physics`, what is there is built again from the values at every call; the arm,
+which takes longer to build than all else to compute, is put in its place as if it had been built there. What is lost
+thereby, the contacts that the solver had, it finds again within a step: a cube that the gripper holds slips by a fraction
+of a millimetre a second (docs/decisions/0017). There is no constraint between anything: a cube is held by friction.
 
 Of pybullet_data's Panda what is only to be seen is left out, which makes building it five times as fast, and the
 fingers are boxes: the model's finger is a mesh with a rounded inside, which in its first step against a box has one
@@ -46,6 +46,7 @@ _CENTRING_N_M = 500.0
 _CENTRING_NS_M = 10.0
 _SOLVER_ITERATIONS = 100
 _TABLE_HALF_M = (2.0, 2.0, 0.5)
+_FAR_M = 1000.0
 
 # Somebody's hand: half of its sides, metres; what it weighs, kg; and with how much force it is drawn, and grips, N.
 GUEST_HALF_M = np.array([0.03, 0.035, 0.012])
@@ -107,6 +108,9 @@ class Workcell:
 
     def __init__(self) -> None:
         self.bullet = Bullet()  # as the last call has left it
+        self._robot: int | None = None
+        self._foot: tuple[Sequence[float], Sequence[float]] = ((), ())
+        self._handles: list[int] = []
         # pybullet reads models from files alone: this one is in memory, and ends with the process.
         self._model = os.memfd_create("panda.urdf")
         weakref.finalize(self, os.close, self._model)
@@ -118,10 +122,12 @@ class Workcell:
     ) -> tuple[Arm, list[Cube], list[Touch], Guest | None]:
         """Let the arm follow an order, somebody's hand go its way, and things fall, slide and be held, for so many
         steps of `STEP_S`: how arm, cubes and hand are afterwards, and what each cube then touches."""
-        iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
-        table = prepare(self.bullet, STEP_S, _TABLE_HALF_M, TABLE_FRICTION, **iterations)
-        robot = self._create_arm(arm, table)
-        handles = [self._create_cube(cube) for cube in cubes]
+        if self._robot is None or guest is not None:
+            self._robot = self._create_arm()
+        robot = self._robot
+        self._clear()
+        self._place_arm(robot, arm)
+        handles = self._handles = [self._create_cube(cube) for cube in cubes]
         hand = None if guest is None else self._create_guest(guest, handles)
         for step in range(1, steps + 1):
             if guest is not None and hand is not None:
@@ -132,21 +138,44 @@ class Workcell:
         after = [self._read_cube(handle, cube) for handle, cube in zip(handles, cubes, strict=True)]
         touches = [self._touch(handle, robot) for handle in handles]
         left = None if guest is None or hand is None else self._read_guest(hand, guest)
+        if guest is not None:
+            self._robot = None  # what ties its hand to things goes with the whole client
         return self._read_arm(robot), after, touches, left
 
-    def _create_arm(self, arm: Arm, table: int) -> int:
+    def _create_arm(self) -> int:
+        """The arm's handle, in a client that has nothing but it and the table."""
         bullet = self.bullet
+        self._handles = []
+        iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
+        table = prepare(bullet, STEP_S, _TABLE_HALF_M, TABLE_FRICTION, **iterations)
         robot = int(bullet.loadURDF(f"/proc/self/fd/{self._model}", useFixedBase=1))
         # Its foot stands on the table, and is fixed anyhow.
         bullet.setCollisionFilterPair(robot, table, -1, -1, 0)
-        for joint in range(JOINTS):
-            bullet.resetJointState(robot, joint, arm.joints[joint], arm.speeds[joint])
         # Plain friction: the model's anchors pull back what has slipped, and remember where from.
         plain = {"spinningFriction": 0.0, "frictionAnchor": 0, "contactStiffness": -1, "contactDamping": -1}
+        for joint in FINGERS:
+            bullet.changeDynamics(robot, joint, lateralFriction=FINGER_FRICTION, **plain)
+        self._foot = bullet.getBasePositionAndOrientation(robot)
+        return robot
+
+    def _clear(self) -> None:
+        """Have nothing there but the table and the arm."""
+        for handle in reversed(self._handles):  # so that numbers and places of those to come are the same again
+            self.bullet.removeBody(handle)
+
+    def _place_arm(self, robot: int, arm: Arm) -> None:
+        """Put the arm where it is, as if it had not been anywhere.
+
+        Around each link bullet keeps a box that is wider than the link, and larger where it was: what is in it belongs
+        to the link's island, and is solved in another order. A box of what was far away begins anew."""
+        bullet = self.bullet
+        bullet.resetBasePositionAndOrientation(robot, [0.0, 0.0, _FAR_M], self._foot[1])
+        for joint in range(JOINTS):
+            bullet.resetJointState(robot, joint, arm.joints[joint], arm.speeds[joint])
         for index, joint in enumerate(FINGERS):
             bullet.resetJointState(robot, joint, arm.fingers[index], arm.finger_speeds[index])
-            bullet.changeDynamics(robot, joint, lateralFriction=FINGER_FRICTION, **plain)
-        return robot
+        bullet.performCollisionDetection()
+        bullet.resetBasePositionAndOrientation(robot, *self._foot)
 
     def _create_cube(self, cube: Cube) -> int:
         shape = box_shape(self.bullet, [cube.side_m / 2] * 3)

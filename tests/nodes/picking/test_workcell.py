@@ -9,7 +9,7 @@ import pytest
 
 from hierax.nodes.picking import workcell
 from hierax.nodes.picking.panda import HOME_RAD, gripper_at, gripper_down, joints_for
-from hierax.nodes.picking.workcell import Arm, Cube, Order, Touch, Workcell
+from hierax.nodes.picking.workcell import Arm, Cube, Grip, Guest, Order, Touch, Workcell
 from hierax.nodes.tracking.math.geometry import Floats, invert, make_pose, pose_error
 
 SIDE_M = 0.045
@@ -23,6 +23,13 @@ class Scene(NamedTuple):
     cube: Cube
     touch: Touch
     targets: Floats
+
+
+class Situation(NamedTuple):
+    arm: Arm
+    cubes: list[Cube]
+    order: Order
+    guest: Guest | None
 
 
 def gripper_over(height_m: float) -> Floats:
@@ -95,6 +102,64 @@ def test_another_process_goes_on_to_the_bit() -> None:
     assert np.array_equal(here.cube.velocity, there.cube.velocity)
     for one, two in zip(here.arm, there.arm, strict=True):
         assert np.array_equal(one, two)
+
+
+def beside_cubes(rng: np.random.Generator) -> Situation:
+    """An arm whose fingers are among three cubes, two of them one upon the other; and often somebody's hand."""
+    width_m = rng.uniform(0.0, 0.08)
+    place = (0.5 + rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05), rng.uniform(0.02, 0.12))
+    joints, _ = joints_for(gripper_down(place, rng.uniform(-0.5, 0.5)), HOME_RAD, 200)
+    arm = Arm(joints, rng.normal(0.0, 0.1, 7), np.full(2, width_m / 2), np.zeros(2))
+    middles = np.array([[0.5, 0.0, SIDE_M / 2], [0.505, 0.004, 1.5 * SIDE_M], [0.5, 0.09, SIDE_M / 2]])
+    cubes = [Cube(SIDE_M, make_pose(np.eye(3), middle), rng.normal(0.0, 0.02, 6)) for middle in middles]
+    guest = None
+    if rng.random() < 0.3:
+        hand = make_pose(np.eye(3), np.array([0.5, 0.16, 0.06]))
+        grip = Grip(3, make_pose(np.eye(3), np.array([0.0, -0.07, -0.0375]))) if rng.random() < 0.5 else None
+        guest = Guest(hand, np.zeros(6), hand, make_pose(np.eye(3), np.array([0.5, 0.12, 0.06])), grip)
+    return Situation(arm, cubes, Order(joints, joints + rng.normal(0.0, 0.02, 7), width_m), guest)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_was_before_does_not_matter(seed: int) -> None:
+    rng, cell = np.random.default_rng(seed), Workcell()
+    for turn in range(12):
+        arm, cubes, order, guest = beside_cubes(rng)
+        for _ in range(4):
+            here = cell.run(arm, cubes, order, STEPS, guest)
+            assert values_of(here) == values_of(Workcell().run(arm, cubes, order, STEPS, guest)), f"turn {turn}"
+            arm, cubes, _, guest = here
+            order = order._replace(start=order.end)
+
+
+def test_where_the_arm_was_bullet_looks_for_nothing_of_it() -> None:
+    """What is in the boxes that it keeps around links is solved together with them, in another order."""
+    poses = [gripper_down((0.57, 0.02, 0.2)), gripper_down((0.56, 0.0, 0.19)), gripper_down((0.52, -0.05, 0.15))]
+    joints = [joints_for(pose, HOME_RAD, 200)[0] for pose in poses]
+    cell, boxes = Workcell(), []
+    for angles in joints:
+        arm, order = Arm(angles, np.zeros(7), np.full(2, 0.033), np.zeros(2)), Order(angles, angles, 0.066)
+        for each in (cell, Workcell()):
+            each.run(arm, [], order, 1)
+            boxes.append(links_near(each, angles))
+    assert boxes[::2] == boxes[1::2]
+    assert all(any(near) for near in boxes)
+
+
+def links_near(cell: Workcell, joints: Floats) -> list[set[tuple[int, int]]]:
+    """Which links bullet looks at near places around the gripper."""
+    middle = gripper_at(joints)[:3, 3]
+    places = middle + np.stack(np.meshgrid(*[np.linspace(-0.2, 0.2, 17)] * 3), axis=-1).reshape(-1, 3)
+    found = (cell.bullet.getOverlappingObjects(place.tolist(), (place + 0.001).tolist()) for place in places)
+    return [set(each or ()) for each in found]
+
+
+def values_of(after: tuple[Arm, list[Cube], list[Touch], Guest | None]) -> list[object]:
+    """All that is told, to be compared to the bit."""
+    arm, cubes, touches, guest = after
+    bodies = [(cube.pose.tolist(), cube.velocity.tolist()) for cube in cubes]
+    hand = None if guest is None else (guest.pose.tolist(), guest.velocity.tolist())
+    return [[part.tolist() for part in arm], bodies, touches, hand]
 
 
 def test_at_rest_nothing_moves() -> None:
