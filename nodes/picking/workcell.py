@@ -1,9 +1,10 @@
 """Arm, gripper, table and cubes: pybullet as a pure function of values.
 
 As in `hierax.nodes.tracking.imagery.physics`, what is there is built again from the values at every call; the arm,
-which takes longer to build than all else to compute, is put in its place as if it had been built there. What is lost
-thereby, the contacts that the solver had, it finds again within a step: a cube that the gripper holds slips by a fraction
-of a millimetre a second (docs/decisions/0017). There is no constraint between anything: a cube is held by friction.
+which takes longer to build than all else to compute, is put in its place as if it had been built there. What is
+lost thereby, the contacts that the solver had, it finds again within a step: a cube that the gripper holds slips by a
+fraction of a millimetre a second (docs/decisions/0017). There is no constraint between anything: a cube is held by
+friction.
 
 Of pybullet_data's Panda what is only to be seen is left out, which makes building it five times as fast, and the
 fingers are boxes: the model's finger is a mesh with a rounded inside, which in its first step against a box has one
