@@ -2,6 +2,7 @@
 
     python benchmarks/partitions.py
     python benchmarks/partitions.py --count 50 --seed 7000
+    python benchmarks/partitions.py --rates        # nodes take part now and then, edges have delays, some gather
 
 Hierarchies have 2 to 12 nodes whose every result depends on every input, and are launched in one process, two, three,
 or as many as nodes, drawn node by node. One process of each is killed (SIGKILL), with all its nodes: a fifth of them as
@@ -29,6 +30,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=500, help="of kills; a launch that is over before is another one")
     parser.add_argument("--seed", type=int, default=0, help="the first one; each launch has the next")
+    parser.add_argument("--rates", action="store_true", help="of nodes, delays of edges")
     options = parser.parse_args()
     faults: list[str] = []
     counts: Counter[str] = Counter()
@@ -36,7 +38,7 @@ def main() -> int:
     for seed in itertools.count(options.seed):
         if counts["kills"] == options.count or counts["launches"] == 2 * options.count:
             break
-        outcome = outcome_of(seed)
+        outcome = outcome_of(seed, rated=options.rates)
         counts["launches"] += 1
         counts["nodes"] += outcome.nodes
         counts["kills"] += bool(outcome.killed)

@@ -228,6 +228,8 @@ class RatedEngine(SayingEngine):
             self._check_same(kept[epoch], message)
         elif self._counting.get(slot) == epoch or self._is_wanted(header, slot):
             kept[epoch] = message
+        else:
+            self._compare_taken(slot, message)
         self._go_on()
 
     def _hear_greeting(self, header: Header, greeting: Elements) -> None:
@@ -238,9 +240,18 @@ class RatedEngine(SayingEngine):
         self._say_what_it_lacks(header.sender)
 
     def compare(self, message: Message) -> None:
-        known = self._kept[message.header.sender, message.header.kind].get(message.header.epoch)
-        if known is not None:
+        slot = (message.header.sender, message.header.kind)
+        known = self._kept[slot].get(message.header.epoch)
+        if known is None:
+            self._compare_taken(slot, message)
+        else:
             self._check_same(known, message)
+
+    def _compare_taken(self, slot: Slot, message: Message) -> None:
+        """Raises `ContradictionError` if observations of this epoch, or of the one before, said something else; what
+        an edge has gathered is not at hand as it came."""
+        if (slot[0], self.name) not in self._rates.gathers:
+            self._is_again(slot, message)
 
     def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
         if attempt != 0 or roster - self._roster > ROSTERS_AHEAD:
@@ -306,7 +317,9 @@ class RatedEngine(SayingEngine):
 
     def _lacking_above(self) -> list[Slot]:
         lacking = self._kept.lacking(self._counting)
-        return lacking + self._under_way_above() if self.drains and not self._complete() else lacking
+        if self.drains and not self._complete():
+            lacking += [slot for slot in self._under_way_above() if slot not in lacking]
+        return lacking
 
     def _under_way_above(self) -> list[Slot]:
         """Of a drained epoch, who is not done with it; who has a part in a later one was, if by another process."""

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from hierax.runtime.core.binding import Call
 from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.table import ACTIONS, Action
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.member import Member
@@ -20,7 +21,7 @@ from hierax.runtime.sim.network import Clock, Crash, Host, Network, SimStorage
 from hierax.runtime.sim.rated import Unlooked
 from hierax.runtime.sim.scenario import CONTRADICT, FORETELL, RAISE, TORN, TRIAL, Scenario
 from hierax.schemas.control import AskStatus, Control, Order, Prepare, decode_control
-from hierax.schemas.messages import Message, decode_message
+from hierax.schemas.messages import Header, Message, decode_message
 from hierax.schemas.roster import Roster
 
 TICK_S = 0.05  # how often a process looks after itself
@@ -264,11 +265,14 @@ class SimProcess(Host):
         header, engine = message.header, runner.engine
         self._around.journal.count(FAULT, kind)
         self._around.journal.trace(f"{self.token}: forged: {header}")
-        known = ((engine.epoch, engine.attempt), self._finished)
+        if isinstance(engine, RatedEngine):
+            known = _has_used(engine, header)
+        else:
+            known = header.when in ((engine.epoch, engine.attempt), self._finished)
+            self._around.checker.foretold |= kind == FORETELL  # with rates an epoch has one attempt
         self._around.checker.excused |= kind == CONTRADICT
-        self._around.checker.foretold |= kind == FORETELL
         self._step(runner, message)
-        if kind == CONTRADICT and (header.epoch, header.attempt) in known:
+        if kind == CONTRADICT and known:
             self._around.checker.violate(f"{self.token}: nobody notices that another message said something else")
 
     # --- its node
@@ -327,6 +331,14 @@ class SimProcess(Host):
         if torn:
             self._around.journal.count(FAULT, TORN)
         return torn
+
+
+def _has_used(engine: RatedEngine, header: Header) -> bool:
+    """Whether a message of this header was an input of the node's last epoch, and is at hand as it came."""
+    rates, edge = engine.wiring.place.rates, (header.sender, engine.name)
+    if header.roster != engine.wiring.roster or rates is None or edge in rates.gathers:
+        return False
+    return (header.sender, header.kind, *header.when) in engine.used
 
 
 def _short(word: Any) -> str:

@@ -35,7 +35,7 @@ else, which ends the run.
 _SHARES = {RAISE: 0.5, STRAY: 0.3, FORETELL: 0.3, CONTRADICT: 0.16}
 """Faults that are drawn apart from the others, as they end runs, or need a node that fails alone: in how many seeds."""
 
-RATED_FAULTS = tuple(kind for kind in FAULTS if kind not in (RAISE, TRIAL, FORETELL, CONTRADICT))
+RATED_FAULTS = tuple(kind for kind in FAULTS if kind not in (RAISE, TRIAL))
 """Those that befall hierarchies with rates, of which no node fails alone."""
 
 _OF_WORLD = {
@@ -113,7 +113,7 @@ class Scenario:
 
     @property
     def rated(self) -> bool:
-        """Whether nodes have rates: then no node fails alone, and of what is forged there are strays only."""
+        """Whether nodes have rates: then no node fails alone."""
         return self.roster.timing is not None
 
     @property

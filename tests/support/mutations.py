@@ -337,6 +337,7 @@ RATED = {
     name: partial(_broken, mistake)
     for name, mistake in {
         **rated_mutations.MISTAKES,
+        **rated_mutations.FORGERIES,
         **rated_change_mutations.MISTAKES,
     }.items()
 }

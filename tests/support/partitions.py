@@ -19,6 +19,7 @@ from hierax.runtime.deployment.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.single import run
 from hierax.runtime.launch.supervisor import launch
+from hierax.runtime.sim.rated import draw_rates
 from support.launched import is_alive
 
 EPOCHS = 60
@@ -88,6 +89,21 @@ def random_deployment(rng: random.Random) -> dict[str, Any]:
     return {"hierarchy": "partitioned", "world": "world", "nodes": nodes, "edges": edges}
 
 
+def with_rates(rng: random.Random, plain: dict[str, Any]) -> dict[str, Any]:
+    """The same, of which nodes take part now and then, edges have delays, and some gather."""
+    nodes, edges = plain["nodes"], plain["edges"]
+    pairs = {(lower, upper): edge for edge in edges for lower, upper in [edge.split(" -> ")]}
+    sensed = [pair for pair, edge in pairs.items() if "sense" in edges[edge]]
+    rates = draw_rates(rng, [name for name in nodes if name != plain["world"]], list(pairs), sensed)
+    for name, turns in rates.turns.items():
+        nodes[name] |= {"every": turns.every, "offset": turns.offset}
+    for pair, delay in rates.delays.items():
+        edges[pairs[pair]]["delay"] = delay
+    for pair in rates.gathers:
+        edges[pairs[pair]]["gather"] = True
+    return plain
+
+
 def random_partition(rng: random.Random, names: Sequence[str]) -> dict[str, list[str]]:
     """Any nodes in any processes: from each in its own to all in one."""
     count = rng.choice((1, 2, 3, len(names)))
@@ -97,18 +113,21 @@ def random_partition(rng: random.Random, names: Sequence[str]) -> dict[str, list
     return groups
 
 
-def outcome_of(seed: int, epochs: int = EPOCHS, at: int | None = None) -> Outcome:
+def outcome_of(seed: int, epochs: int = EPOCHS, at: int | None = None, rated: bool = False) -> Outcome:
     """Launch the hierarchy and partition of a seed, kill one of its processes, and run it in one.
 
     Args:
         seed: of all that is random.
         epochs: how many.
         at: after which epoch; None: at random.
+        rated: whether nodes have rates, and edges delays.
     """
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         plain = random_deployment(rng)
+        if rated:
+            with_rates(rng, plain)
         plain["processes"] = random_partition(rng, list(plain["nodes"]))
         file = folder / "partitioned.yaml"
         file.write_text(yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")

@@ -7,6 +7,7 @@ from typing import Any
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.said import SaidMessages
+from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.checkpoint import encode_under_way
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message, SaidMessage
 
@@ -91,3 +92,13 @@ MISTAKES: dict[str, tuple[Any, str, Any]] = {
     "a checkpoint forgets what was gathered": (RatedEngine, "_gather", _saves_without_a_turn),
 }
 """What each breaks; a node that senses anew, or a greeting that is not judged, has a test of its own."""
+
+
+def _overlooks(engine: RatedEngine, slot: Slot, message: Message) -> None:
+    return
+
+
+FORGERIES: dict[str, tuple[Any, str, Any]] = {
+    "other observations of the epoch under way overlooked": (RatedEngine, "_compare_taken", _overlooks),
+}
+"""What somebody else has to say something to be noticed."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
+import yaml
 from support.direct import Direct, Period
+from support.partitions import random_deployment, with_rates
 
 from hierax.nodes.servo import CameraNode, MeasuredPosition, MotionNode, SlidingWorld, camera_task, position
 from hierax.runtime.commands.main import main
@@ -29,19 +32,32 @@ def rates_in(deployment: Deployment) -> Rates:
     return deployment.roster.rates
 
 
+def check_as_direct(deployment: Deployment, epochs: int, seed: int) -> None:
+    """The digest of `run`, and what every node believes at the end."""
+    report = run(deployment, epochs=epochs, seed=seed)
+    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(seed, wait_for), deployment.allowance)
+    direct, chain = Direct(hierarchy, rates_in(deployment)), DigestChain(deployment.roster.content_hash())
+    for epoch in range(1, epochs + 1):
+        chain.commit(epoch, direct.digest(deployment.roster.world, epoch))
+    assert report.digest == chain.digest.hex(), f"seed {seed}"
+    for name, node in report.nodes.items():
+        assert node.belief == direct.after(name, epochs).belief, f"seed {seed}, {name}"
+
+
 SLOW = ("nodes.motion.every=5", "nodes.motion.offset=2", f"{MOTION}.delay=3")
 
 
 @pytest.mark.parametrize("settings", [SLOW, SLOW[:1], (f"{MOTION}.delay=4",)])
 def test_a_run_is_what_the_direct_implementation_says(settings: tuple[str, ...]) -> None:
-    deployment = read_deployment("servo", settings)
-    report = run(deployment, epochs=20, seed=3)
-    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(3, wait_for), deployment.allowance)
-    direct, chain = Direct(hierarchy, rates_in(deployment)), DigestChain(deployment.roster.content_hash())
-    for epoch in range(1, 21):
-        chain.commit(epoch, direct.digest("world", epoch))
-    assert report.digest == chain.digest.hex()
-    assert report.nodes["motion"].belief == direct.after("motion", 20).belief
+    check_as_direct(read_deployment("servo", settings), 20, 3)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_a_run_of_any_hierarchy_is_what_the_direct_implementation_says(seed: int, tmp_path: Path) -> None:
+    rng = random.Random(seed)
+    file = tmp_path / "rated.yaml"
+    file.write_text(yaml.safe_dump(with_rates(rng, random_deployment(rng)), sort_keys=False))
+    check_as_direct(read_deployment(file), 20, seed)
 
 
 def test_rates_change_the_digest_and_no_rates_do_not() -> None:

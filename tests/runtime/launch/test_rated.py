@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from support.launched import Launched, run_here, said_here, until
 from support.mixing_nodes import ALONE, BESIDE, written
+from support.partitions import outcome_of
 
 NODES = ("world", "quick", "middle", "slow", "side")
 PACED = ("--set", "nodes.world.rate_hz=200", "--set", "restart.restart_delay=0.0")
@@ -40,6 +41,13 @@ def test_every_node_killed_once_changes_nothing(tmp_path: Path, file: str) -> No
         report = launch.report()
         assert all(f"{name}: its process ended by signal SIGKILL" in launch.err for name in NODES)
     check_as_run(report, file, "--epochs", "500")
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_any_hierarchy_with_rates_is_launched_as_it_is_run(seed: int) -> None:
+    """In random processes, of which one is killed."""
+    outcome = outcome_of(seed, rated=True)
+    assert not outcome.fault, f"seed {seed}"
 
 
 def test_two_neighbours_killed_at_once_change_nothing(tmp_path: Path, file: str) -> None:
