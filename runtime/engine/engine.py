@@ -191,22 +191,36 @@ class Engine:
             and (digest or kind != CONTEXT)
         ):
             self._take(slot, message)
+        elif (  # NEXT: with what they begin
+            epoch == self.epoch + 1
+            and self.phase is Phase.DONE
+            and self.wiring.below.get(slot) == instance
+            and roster == self._roster
+            and attempt - self.attempt <= ATTEMPTS_AHEAD
+            and receiver == self.name
+        ):
+            self._begin_with(slot, message)
         else:
             self._receive_by_table(message)
 
-    def _receive_by_table(self, message: Message) -> None:
-        """As `receive`, which is quicker with what is CURRENT."""
+    def _begin_with(self, slot: Slot, message: Message) -> None:
+        """The first observations of an epoch: the last one was committed."""
         header = message.header
-        slot, epoch, attempt = (header.sender, header.kind), header.epoch, header.attempt
+        self._after = _attempt_before(header)
+        if not self._joins:
+            self.go_back_to(self._after)
+        self._turn(header.epoch, header.attempt)
+        self._take(slot, message)
+
+    def _receive_by_table(self, message: Message) -> None:
+        """As `receive`, which is quicker with what is CURRENT or NEXT."""
+        header = message.header
+        slot, attempt = (header.sender, header.kind), header.attempt
         verdict = self.judge(header)
         if verdict is Verdict.CURRENT:
             self._take(slot, message)
         elif verdict is Verdict.NEXT:
-            self._after = _attempt_before(header)
-            if not self._joins:
-                self.go_back_to(self._after)
-            self._turn(epoch, attempt)
-            self._take(slot, message)
+            self._begin_with(slot, message)
         elif verdict in _PERHAPS_AGAIN and self._is_again(slot, message):
             return
         elif verdict is Verdict.AGAIN:
@@ -523,6 +537,8 @@ class Engine:
 
 
 def _attempt_before(header: Header) -> int:
+    if not header.extensions:
+        return 0
     counts = header.extensions.get(AFTER, 0)
     return counts if type(counts) is int else 0
 
