@@ -248,10 +248,14 @@ class RatedEngine(SayingEngine):
             self._check_same(known, message)
 
     def _compare_taken(self, slot: Slot, message: Message) -> None:
-        """Raises `ContradictionError` if observations of this epoch, or of the one before, said something else; what
-        an edge has gathered is not at hand as it came."""
-        if (slot[0], self.name) not in self._rates.gathers:
-            self._is_again(slot, message)
+        """Raises `ContradictionError` if observations of this epoch, or of the one before, said something else, under
+        whatever roster; what an edge has gathered is not at hand as it came."""
+        if (slot[0], self.name) in self._rates.gathers:
+            return
+        for taken in (self._heard, self._heard_before):
+            known = taken.get(slot)
+            if known is not None and known.header.epoch == message.header.epoch:
+                self._check_same(known, message)
 
     def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
         if attempt != 0 or roster - self._roster > ROSTERS_AHEAD:
