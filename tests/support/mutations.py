@@ -22,7 +22,7 @@ from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.sim.campaign import Scenarios
 from hierax.runtime.sim.process import SimProcess
-from hierax.runtime.sim.scenario import Scenario
+from hierax.runtime.sim.scenario import CONTRADICT, FAULTS, FORETELL, Scenario
 from hierax.schemas.control import Fetch, Prepare
 from hierax.schemas.messages import Message
 from support import owner_mutations, rated_change_mutations, rated_mutations
@@ -337,11 +337,15 @@ RATED = {
     name: partial(_broken, mistake)
     for name, mistake in {
         **rated_mutations.MISTAKES,
-        **rated_mutations.FORGERIES,
         **rated_change_mutations.MISTAKES,
     }.items()
 }
-"""Those that hierarchies with rates have to show."""
+"""Those that hierarchies with rates have to show, in which nobody contradicts anybody: that ends a run early."""
+
+RATED_FORGERIES = {name: partial(_broken, mistake) for name, mistake in rated_mutations.FORGERIES.items()}
+"""Those that only somebody who speaks in another's name can show."""
+
+_HONEST = tuple(kind for kind in FAULTS if kind not in (FORETELL, CONTRADICT))
 
 MUTATIONS = {
     **owner_mutations.MUTATIONS,
@@ -364,9 +368,11 @@ MUTATIONS = {
     "one end of a mended link says again": one_end_says_again,
     "one message of a mended link said again": last_message_said_again,
     **RATED,
+    **RATED_FORGERIES,
 }
 
 
 def scenario_of(name: str, seed: int) -> Scenario:
     """What a seed stands for where a mistake is looked for."""
-    return Scenarios(rated=name in RATED).draw(seed)
+    faults = _HONEST if name in RATED else FAULTS
+    return Scenarios(faults, rated=name in RATED or name in RATED_FORGERIES).draw(seed)
