@@ -37,7 +37,7 @@ class OwnRates:
 
     def is_sensed(self, upper: str, epoch: int) -> bool:
         """Whether φ of the edge to a neighbour above is applied: in its turns; where that gathers, in the node's."""
-        return self._each_epoch or self.takes_part(self._name if upper in self._gathered else upper, epoch)
+        return self.takes_part(self._name if upper in self._gathered else upper, epoch)
 
     def counting(self, epoch: int) -> dict[Slot, int]:
         """By slot, the epoch whose input from above counts in a turn of the node; 0: there is none yet."""

@@ -224,12 +224,10 @@ class RatedEngine(SayingEngine):
         self._forget(header)
         slot = (header.sender, header.kind)
         kept = self._kept[slot]
-        if epoch in kept:
-            self._check_same(kept[epoch], message)
-        elif self._counting.get(slot) == epoch or self._is_wanted(header, slot):
+        if epoch not in kept and (self._counting.get(slot) == epoch or self._is_wanted(header, slot)):
             kept[epoch] = message
         else:
-            self._compare_taken(slot, message)
+            self.compare(message)
         self._go_on()
 
     def _hear_greeting(self, header: Header, greeting: Elements) -> None:
