@@ -88,18 +88,20 @@ class PickSpatial(CommandedNode, SpatialNode):
 def arm(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickArm:
     """The arm node with a first guess at the cubes' poses, and nothing of their shapes; options are further ones of
     `ArmNode`."""
-    camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
-    objects: list[FirstPose] = [
-        {"id": number, "obj_id": number, "pose": camera_from_world @ pose}
-        for number, pose in enumerate(guessed(scene, cubes), start=1)
-    ]
-    return PickArm(objects, **options)
+    return PickArm(first_poses(scene, cubes), **options)
 
 
 def spatial(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickSpatial:
     """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them. Options
     are further ones of `SpatialNode`."""
     return PickSpatial(first_bodies(scene, cubes), table=True, **options)
+
+
+def first_poses(scene: int, cubes: int) -> list[FirstPose]:
+    """A first guess at the poses of a scene's cubes, as the camera sees them from home."""
+    camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
+    poses = enumerate(guessed(scene, cubes), start=1)
+    return [{"id": number, "obj_id": number, "pose": camera_from_world @ pose} for number, pose in poses]
 
 
 def first_bodies(scene: int, cubes: int) -> list[FirstBody]:

@@ -10,6 +10,7 @@ from hierax.nodes.picking.display import truth_things
 from hierax.nodes.picking.layout import CUBES, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Guest, Order, Touch, Workcell
+from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 from hierax.nodes.tracking.simworld.shapes import Thing, box
 from hierax.nodes.tracking.simworld.world import check_pictures, picture_of
@@ -27,7 +28,6 @@ LIFTED_M = 0.10
 HELD_S = 2.0
 
 _ENOUGH_S = 2.5
-_ACCELERATION_M_S2 = 0.5
 # From frame to frame the arm moves a little: so few steps bring its gripper where it should be; its posture follows.
 _ITERATIONS = 12
 _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
@@ -53,6 +53,7 @@ class PickWorld(CommandedNode, World):
         width, height: of the pictures, in pixels.
         noise: standard deviation of the sensor's noise, in grey levels of 256.
         blur_px: standard deviation of the lens's blur, in pixels; fps: frames per second, a divisor of 240.
+        acceleration_m_s2: how fast the controller has the gripper speed up and slow down.
     """
 
     def __init__(
@@ -65,11 +66,13 @@ class PickWorld(CommandedNode, World):
         noise: float = 2.0,
         blur_px: float = 0.7,
         fps: int = 20,
+        acceleration_m_s2: float = 0.5,
     ) -> None:
         check_pictures(frames, width, height, noise, blur_px)
+        check_between(0.01, 10, "a number", acceleration_m_s2=acceleration_m_s2)
         if fps < 1 or STEP_HZ % fps:
             raise ValueError(f"fps is {fps}; expected a divisor of {STEP_HZ}")
-        self._frames, self._fps = frames, fps
+        self._frames, self._fps, self._acceleration_m_s2 = frames, fps, float(acceleration_m_s2)
         self._workcell = Workcell()
         arm = Arm(HOME_RAD, np.zeros(7), np.full(2, WIDEST_M / 2), np.zeros(2))
         gripper, focal = gripper_at(HOME_RAD), FOCAL_LENGTH * width
@@ -93,7 +96,8 @@ class PickWorld(CommandedNode, World):
         interval_s = 1.0 / self._fps
         setpoint, pace, width = belief["setpoint"], 0.0, float(belief["fingers"].sum())
         if actions:
-            setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s)
+            change = self._acceleration_m_s2 * interval_s
+            setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s, change)
             width = actions[0]["width"]
         targets, _ = joints_for(setpoint, belief["targets"], _ITERATIONS)
         arm = Arm(*(belief[name] for name in Arm._fields))
@@ -153,15 +157,17 @@ def _placed(scene: int, cubes: int) -> tuple[dict[str, Any], ...]:
     return tuple(bodies)
 
 
-def _advanced(setpoint: Floats, pace: float, wanted: Mapping[str, Any], interval_s: float) -> tuple[Floats, float]:
-    """The setpoint an interval later, on its way to the wanted pose, and its speed, m/s."""
+def _advanced(
+    setpoint: Floats, pace: float, wanted: Mapping[str, Any], interval_s: float, change: float
+) -> tuple[Floats, float]:
+    """The setpoint an interval later, on its way to the wanted pose, and its speed, m/s, which changes by so much in an
+    interval at most."""
     goal = wanted["gripper"]
     shift = goal[:3, 3] - setpoint[:3, 3]
     turn = log_so3(goal[:3, :3] @ setpoint[:3, :3].T)
     left = max(float(np.linalg.norm(shift)), _TURN_M_RAD * float(np.linalg.norm(turn)))
-    change = _ACCELERATION_M_S2 * interval_s
     # As fast as lets it still stop in time, at this braking and these intervals.
-    stopping = float(np.sqrt(2.0 * _ACCELERATION_M_S2 * left + change**2 / 4)) - change / 2
+    stopping = float(np.sqrt(2.0 * change / interval_s * left + change**2 / 4)) - change / 2
     pace = max(min(pace + change, wanted["speed"], stopping), 0.0)
     if left <= pace * interval_s or left < 1e-6:
         return goal, pace

@@ -3,6 +3,7 @@
 One can be done when, by the truth, it means something: a tower that nobody has begun cannot be knocked over."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -184,9 +185,10 @@ def _cover(scene: Scene) -> list[Stop] | None:
 
 def _swap(scene: Scene) -> list[Stop] | None:
     flat = [number for number in scene.idle if scene.bodies[number]["pose"][2, 3] < scene.bodies[number]["side_m"]]
-    if len(flat) < 2 or not scene.hidden.intersection(flat[:2]) or not scene.is_free(*flat[:2]):
+    pairs = (pair for pair in combinations(flat, 2) if scene.hidden.intersection(pair) and scene.is_free(*pair))
+    one, other = next(pairs, (None, None))
+    if one is None or other is None:
         return None
-    one, other = flat[:2]
     spot = scene.spot(one)
     lifted = (scene.bodies[one]["side_m"] - scene.bodies[other]["side_m"]) / 2 * np.array([0.0, 0.0, 1.0])
     places = {number: scene.bodies[number]["pose"][:3, 3] for number in (one, other)}

@@ -10,16 +10,7 @@ from typing import Any
 
 from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.panda import WIDEST_M
-from hierax.nodes.picking.phases import (
-    APPROACH,
-    CLOSE,
-    DESCEND,
-    FAST_M_S,
-    LIFT,
-    RETREAT,
-    SLOW_M_S,
-    WATCH,
-)
+from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
 from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.display import skill_things
 from hierax.nodes.tower.moving import AFTER, CARRY, LOWER, OF_A_MOVE, OPEN, OVER, VIEWS, lifted, over, up, watching
@@ -32,6 +23,8 @@ REST = "default"
 _MOVE, _ONTO = "move", "onto"
 _HOLDING = (LIFT, CARRY, LOWER)  # phases in which the cube is in the hand
 _FREE = (WATCH, OVER, APPROACH)  # those in which it does not matter yet which cube is meant
+# How fast the gripper goes where there is room, and between cubes: down with a cube or to one, and up with it.
+ACROSS_M_S, DOWN_M_S, LIFT_M_S = 0.4, 0.12, 0.2
 
 
 def name_of(tasks: Elements) -> str:
@@ -181,16 +174,17 @@ def _with_goal(belief: Value, time_s: float) -> Value:
 def _wish(belief: Value) -> Value:
     """The gripper's command in this phase."""
     phase, grasp = belief["phase"], belief["gripper"]
+    speed = DOWN_M_S if phase in (DESCEND, CLOSE, LOWER, OPEN) else LIFT_M_S if phase == LIFT else ACROSS_M_S
     if phase == WATCH:
-        return command(VIEWS[belief["view"]], WIDEST_M, FAST_M_S)
+        return command(VIEWS[belief["view"]], WIDEST_M, speed)
     opened_m = belief["box_width"] + OPENING_M
     if phase in (OVER, APPROACH, DESCEND):
         ways = {OVER: over(belief), APPROACH: before(grasp), DESCEND: grasp}
-        return command(ways[phase], opened_m, SLOW_M_S if phase == DESCEND else FAST_M_S)
+        return command(ways[phase], opened_m, speed)
     if phase == RETREAT:
-        return command(up(belief), opened_m, FAST_M_S)
+        return command(up(belief), opened_m, speed)
     place = belief["place"]
     ways = {CLOSE: grasp, LIFT: lifted(belief, grasp), LOWER: place, OPEN: place}
     if phase == CARRY:
         ways[CARRY] = lifted(belief, grasp if place is None else place)
-    return command(ways[phase], opened_m if phase == OPEN else 0.0, FAST_M_S if phase == CARRY else SLOW_M_S)
+    return command(ways[phase], opened_m if phase == OPEN else 0.0, speed)

@@ -46,8 +46,9 @@ class TowerSpatial(PickSpatial):
 
     The belief has ``told``; ``rests``, pairs of an id and the pose in which a cube that stands was believed last;
     ``doubted``, the ids of those that were seen elsewhere just now, and not believed to be there; ``odd``, of each cube
-    for how many epochs that is so, or it is seen where it cannot be; ``hold``, gripper_from_object of the cube that the
-    hand holds (None: it is not known), and ``firm``, for how many epochs it was seen to move with the hand."""
+    for how many epochs that is so, or it is seen where it cannot be, less those in which it is not; ``hold``,
+    gripper_from_object of the cube that the hand holds (None: it is not known), and ``firm``, for how many epochs it
+    was seen to move with the hand."""
 
     def initial_belief(self) -> Value:
         """The belief of `PickSpatial`; nothing is told and nothing odd yet."""
@@ -76,7 +77,9 @@ class TowerSpatial(PickSpatial):
         known as ever, unless they are seen. While the camera overlooks the table, what is lost is lost all the same."""
         told: Value = context[0] if context else _NOTHING_TOLD
         now = odd_bodies(belief["bodies"]) | {*belief["doubted"]} if told["looks"] else set()
-        odd = {number: count + 1 if number in now - {told["held"]} else 0 for number, count in belief["odd"]}
+        now -= {told["held"]}
+        steps = ((number, count + 1 if number in now else count - 1) for number, count in belief["odd"])
+        odd = {number: min(max(count, 0), ODD_EPOCHS + 1) for number, count in steps}
         denied = {number: _DENIED for number, count in odd.items() if count > ODD_EPOCHS}
         stands = {*told["stands"]} - {told["held"], *denied}
         kept = {

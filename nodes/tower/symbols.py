@@ -2,8 +2,9 @@
 
 A symbol begins to hold when its probability reaches `BEGINS`, and ends below `ENDS`; in between it is what it was, so
 that a pose at the edge does not make it come and go. Either has to be so for `CONFIRMED` epochs in a row, as a pose may
-be wrong for an instant. Of cubes that are not seen just now, what held goes on to hold, as nothing speaks against it.
-Of one that stays lost while the arm looks for it nothing holds but that it is unknown."""
+be wrong for an instant. Of cubes that are not seen just now, what held goes on to hold, as nothing speaks against it;
+so it does while the hand is among the cubes, as from near poses are wrong for longer than that. Of one that stays lost
+while the arm looks for it nothing holds but that it is unknown."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -67,7 +68,7 @@ def symbols_after(before: Symbols, bodies: Sequence[Mapping[str, Any]], holding:
     doubts: dict[str, int] = {}
 
     def is_held(symbol: str, holds: bool, held: bool) -> bool:
-        if holds != held:
+        if holds != held and (looking or not held):
             doubts[symbol] = before.doubts.get(symbol, 0) + 1
         if doubts.get(symbol, 0) < CONFIRMED:
             return held

@@ -194,7 +194,7 @@ class ArmNode(Node):
     def _corrected(self, objects: _Objects, image: Image, intrinsics: Array, still: bool) -> tuple[Floats, _Objects]:
         """What the camera's error does to all poses, and the objects after the image."""
         if not any(len(item["controls"]["points"]) for item in objects):
-            return np.eye(4), objects
+            return np.eye(4), tuple(map(self._out_of_view, objects))
         camera = None if still else self._camera
         known = objects
         if not self._prior:
@@ -268,6 +268,10 @@ class ArmNode(Node):
     def _blind(self, item: schema.TrackedObject) -> schema.TrackedObject:
         """One object where there is no image: what it was expected to be."""
         return _sought(self._missed(item, item["pose"], None))
+
+    def _out_of_view(self, item: schema.TrackedObject) -> schema.TrackedObject:
+        """One object where nothing of any is expected in the image: it is seen no more, and nothing new is guessed."""
+        return self._blind(item) if item["status"] == schema.TRACKED else {**item, "guesses": NO_POSES}
 
     def _missed(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate | None) -> schema.TrackedObject:
         """One object that the image does not support: its prediction stands, until patience ends. That something which

@@ -53,6 +53,17 @@ def test_what_is_seen_in_the_air_or_in_the_table_is_lost_after_a_while(height_m:
     assert status_after(shown(), ODD_EPOCHS + 1, LOOKS) == TRACKED
 
 
+def test_what_is_seen_in_the_air_most_of_the_time_is_lost_all_the_same() -> None:
+    """A pose that wanders is not seen in every image."""
+    node, odd, unseen = spatial(0, CUBES), shown(pose=lifted(0.1)), shown(status=EXPECTED)
+    belief, statuses = odd, []
+    for epoch in range(2 * ODD_EPOCHS):
+        belief = node.predict((LOOKS,), (), {**belief, "bodies": (unseen if epoch % 5 == 4 else odd)["bodies"]})
+        statuses.append(belief["bodies"][1]["status"])
+    assert LOST not in statuses[:ODD_EPOCHS]
+    assert LOST in statuses
+
+
 def test_what_lies_on_another_one_is_not_in_the_air() -> None:
     one, two = planned(0, CUBES)[:2]
     on = one.pose.copy()

@@ -9,6 +9,7 @@ from support.cube_arm import FIRST_CAMERA, NEXT_CAMERA, WORLD_FROM_OBJECT, after
 
 from hierax.nodes.tracking import arm as tracking_arm
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
+from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
 from hierax.nodes.tracking.math.geometry import NO_POSES, exp_so3, make_pose, pose_error
 from hierax.nodes.tracking.search.missing import Sighting
 from hierax.runtime import Tick
@@ -74,6 +75,16 @@ def test_where_nothing_is_expected_the_image_is_not_read(monkeypatch: pytest.Mon
     monkeypatch.setattr(tracking_arm, "smoothed", lambda image: pytest.fail("the image was smoothed"))
     arm = node()
     arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), arm.initial_belief())
+
+
+@pytest.mark.parametrize(("status", "after"), [("tracked", "expected"), ("expected", "expected"), ("lost", "lost")])
+def test_where_nothing_is_in_view_nothing_is_tracked_and_no_guess_is_kept(status: str, after: str) -> None:
+    arm = node()
+    belief = after_first_epoch(arm)
+    (item,) = belief["objects"]
+    unseen = {**item, "status": status, "controls": NO_CONTROLS, "guesses": WORLD_FROM_OBJECT[None]}
+    seen = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), {**belief, "objects": (unseen,)})
+    assert (seen["objects"][0]["status"], len(seen["objects"][0]["guesses"])) == (after, 0)
 
 
 @pytest.mark.parametrize("found", [True, False])
