@@ -11,8 +11,8 @@ import numpy as np
 
 from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.tracker import PickArm, first_poses
-from hierax.nodes.tracking.math.geometry import Array, Floats, project, transform
-from hierax.nodes.tracking.schema import LOST, TRACKED
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, transform
+from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
 from hierax.runtime import Elements, Value
 
 BESIDE_M = 0.005  # so far from its edges a face's colour is read
@@ -27,8 +27,8 @@ class TowerArm(PickArm):
     """An arm node that remembers the colours of what it tracks.
 
     The belief is that of `PickArm`, with ``colours``, of each object {"id", "chromaticity": (3,), red, green and blue
-    by their sum, "epochs": of how many images, "mistaken": in how many just now it had another one's}. What had one
-    for `MISTAKEN_EPOCHS` is lost."""
+    by their sum, "epochs": of how many images, "mistaken": in how many just now it had another one's}. What has one is
+    not seen where that is; what had one for `MISTAKEN_EPOCHS` is lost."""
 
     def initial_belief(self) -> Value:
         """The belief of `PickArm`; no colour is known."""
@@ -37,7 +37,7 @@ class TowerArm(PickArm):
         return {**known, "colours": tuple({"id": item["id"], **nothing} for item in known["objects"])}
 
     def observe(self, observations: Elements, belief: Value) -> Value:
-        """τ of `PickArm`, but that what has another object's colour is lost."""
+        """τ of `PickArm`, but that what has another object's colour is not seen."""
         felt = super().observe(observations, belief)
         if not observations:
             return felt
@@ -45,10 +45,12 @@ class TowerArm(PickArm):
         seen = [chromaticity(image, intrinsics, item) for item in felt["objects"]]
         every = zip(belief["colours"], felt["objects"], seen, strict=True)
         colours = tuple(_compared(known, item, colour, belief["colours"]) for known, item, colour in every)
-        mistaken = {known["id"] for known in colours if known["mistaken"] >= MISTAKEN_EPOCHS}
+        pairs = zip(colours, belief["objects"], felt["objects"], strict=True)
         objects = tuple(
-            {**item, "status": LOST, "score": 0.0, "nats": 0.0, "probability": 0.0} if item["id"] in mistaken else item
-            for item in felt["objects"]
+            _denied(known["mistaken"], item, belief["camera"] @ before["pose"], felt["camera"])
+            if known["mistaken"]
+            else item
+            for known, before, item in pairs
         )
         return {**felt, "objects": objects, "colours": colours}
 
@@ -86,6 +88,13 @@ def _compared(
     away = min((_apart(colour, other["chromaticity"]) for other in others), default=np.inf)
     is_other = away < _apart(colour, known["chromaticity"]) - NEARER
     return {**known, "mistaken": known["mistaken"] + 1 if is_other else 0}
+
+
+def _denied(mistaken: int, item: Mapping[str, Any], expected: Floats, camera: Floats) -> dict[str, Any]:
+    """An object that has another one's colour: where it was expected, in the world's frame, or lost."""
+    status = LOST if mistaken >= MISTAKEN_EPOCHS else EXPECTED
+    nothing = {"score": 0.0, "nats": 0.0, "probability": 0.0}
+    return {**item, **nothing, "status": status, "pose": invert(camera) @ expected}
 
 
 def _apart(one: Floats, other: Floats) -> float:

@@ -13,7 +13,7 @@ from hierax.nodes.picking.world import picture_and_hand_seen
 from hierax.nodes.tower import identity
 from hierax.nodes.tower.identity import LEARNED_EPOCHS, LEARNED_NATS, MISTAKEN_EPOCHS, chromaticity
 from hierax.nodes.tracking.math.geometry import invert, project
-from hierax.nodes.tracking.schema import LOST, TRACKED
+from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
 
 CUBES = 3
 SETTINGS = [f"cubes={CUBES}", "tower=[1, 3]", "pictures=1000"]
@@ -48,7 +48,7 @@ def test_what_has_another_ones_colour_for_some_images_is_lost(learned: Any) -> N
         after = node.observe((picture,), belief)
         statuses.append([item["status"] for item in after["objects"]])
         belief = {**belief, "colours": after["colours"]}
-    assert [each[0] for each in statuses] == [TRACKED] * (MISTAKEN_EPOCHS - 1) + [LOST]
+    assert [each[0] for each in statuses] == [EXPECTED] * (MISTAKEN_EPOCHS - 1) + [LOST]
     assert all(each[1:] == [TRACKED, TRACKED] for each in statuses)
 
 
