@@ -15,7 +15,7 @@ from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 Body = Mapping[str, Any]
 
 HOME_M = np.array([0.95, 0.45, 0.35])  # where the hand comes from, and goes to; or as far on the other side
-FAST_M_S, SLOW_M_S = 0.5, 0.08
+FAST_M_S, SLOW_M_S = 0.8, 0.08
 AWAY_S = (5.0, 10.0)  # how long a cube that was removed is away, from and to
 _KEEPS_M = 0.15  # a careful person does not begin anything so near to the gripper
 _OVER_M = 0.10  # so high over what it grips the hand comes and goes

@@ -15,7 +15,7 @@ from hierax.nodes.tower.interferences import ACTS, HOME_M, Scene, Stop
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, log_so3, make_pose, project, transform
 from hierax.runtime import Value
 
-PAUSE_S = 3.0  # an interference begins at most so long after it could
+PAUSE_S = 1.5  # an interference begins at most so long after it could
 _LATE_S = 2.0  # a stop that is not reached is given up so long after it should have been
 _REACHED_M = 0.004
 _TURN_RAD_S = 2.0
