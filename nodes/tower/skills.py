@@ -23,8 +23,8 @@ REST = "default"
 _MOVE, _ONTO = "move", "onto"
 _HOLDING = (LIFT, CARRY, LOWER)  # phases in which the cube is in the hand
 _FREE = (WATCH, OVER, APPROACH)  # those in which it does not matter yet which cube is meant
-# How fast the gripper goes where there is room, and between cubes: down with a cube or to one; and up with it, slowly, as
-# it is then that the camera has to see how it is held.
+# How fast the gripper goes where there is room, and between cubes: down with a cube or to one; and up with it, slowly,
+# as it is then that the camera has to see how it is held.
 ACROSS_M_S, DOWN_M_S, LIFT_M_S = 0.4, 0.12, 0.08
 
 
