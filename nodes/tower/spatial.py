@@ -16,6 +16,7 @@ from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 # How well it is known, in each axis, where something stands that was put there, and is not seen just now.
 STANDS_M, STANDS_RAD = 0.003, np.radians(3.0)
+PUSHED_M = 0.008  # so far what stands may be pushed in an epoch
 ODD_EPOCHS = 30  # what is seen for so long where it cannot be is not there
 # What the fingers hold turns and slides so slowly, an epoch, and is not seen farther off than this where it truly is.
 SLIPS_M, SLIPS_RAD = 0.0002, np.radians(0.2)
@@ -65,7 +66,9 @@ class TowerSpatial(PickSpatial):
         others = [body for body in others if body["id"] in rests or body["status"] != LOST]
         looks = belief["told"]["looks"]
         seen = {body["id"]: body for body in sensed["bodies"] if body["status"] == TRACKED and body["id"] in rests}
-        doubted = tuple(number for number, body in seen.items() if not _is_believed(body, others, looks))
+        doubted = tuple(
+            number for number, body in seen.items() if not _is_believed(body, rests[number], others, looks)
+        )
         rests |= {number: body["pose"] for number, body in seen.items() if number not in doubted}
         bodies = tuple(
             _unseen_at(body, rests[body["id"]]) if body["id"] in doubted else body for body in sensed["bodies"]
@@ -117,10 +120,12 @@ def _rests(belief: Value) -> dict[int, Floats]:
     return {number: known[number] for number in sorted(stands) if number in known}
 
 
-def _is_believed(body: Value, others: Sequence[Value], looks: bool) -> bool:
-    """Whether a cube that stands is where it is seen now. In the air it may be in somebody's hand, for which it is seen
-    well enough while the camera overlooks the table."""
-    return is_sure(body) and not is_sunk(body, others) and (looks or not hangs(body, others))
+def _is_believed(body: Value, rest: Floats, others: Sequence[Value], looks: bool) -> bool:
+    """Whether a cube that stands is where it is seen now. In the air it may be in somebody's hand, and farther from
+    where it was than anything is pushed in an epoch: while the camera overlooks the table that is seen well enough."""
+    if not is_sure(body) or is_sunk(body, others):
+        return False
+    return looks or (pose_error(body["pose"], rest)[0] < PUSHED_M and not hangs(body, others))
 
 
 def _unseen_at(body: Value, pose: Floats) -> Value:
