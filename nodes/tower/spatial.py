@@ -66,9 +66,7 @@ class TowerSpatial(PickSpatial):
         others = [body for body in others if body["id"] in rests or body["status"] != LOST]
         looks = belief["told"]["looks"]
         seen = {body["id"]: body for body in sensed["bodies"] if body["status"] == TRACKED and body["id"] in rests}
-        doubted = tuple(
-            number for number, body in seen.items() if not _is_believed(body, rests[number], others, looks)
-        )
+        doubted = tuple(number for number, body in seen.items() if not _is_believed(body, rests[number], others, looks))
         rests |= {number: body["pose"] for number, body in seen.items() if number not in doubted}
         bodies = tuple(
             _unseen_at(body, rests[body["id"]]) if body["id"] in doubted else body for body in sensed["bodies"]
