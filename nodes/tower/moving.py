@@ -71,6 +71,10 @@ def _body(belief: Value, number: int) -> Mapping[str, Any]:
     return next(body for body in belief["bodies"] if body["id"] == number)
 
 
+def _is_lost(belief: Value, number: int) -> bool:
+    return number != TABLE and bool(_body(belief, number)["status"] == LOST)
+
+
 def over(belief: Value) -> Floats:
     """Before the grasp, above everything."""
     return at_height(before(belief["gripper"]), top_of(belief["bodies"]) + _ABOVE_M)
@@ -88,12 +92,12 @@ def up(belief: Value) -> Floats:
 
 
 def _after_watch(belief: Value, time_s: float) -> Value:
-    """A grasp of the cube is chosen once the tracker has had time, the camera being still. What is not found from one
-    side is looked for from another one."""
+    """A grasp of the cube is chosen once the tracker has had time, the camera being still, unless what it comes onto is
+    lost. What is not found from one side is looked for from another one."""
     belief = steadied(belief, has_reached(belief, VIEWS[belief["view"]]), time_s)
-    if belief["put"] is not None and _body(belief, belief["put"])["status"] == LOST:
+    if belief["put"] is not None and _is_lost(belief, belief["put"]):
         belief = {**belief, "put": None}  # it is looked for everywhere
-    if belief["goal"] is not None and is_steady(belief, time_s, LOOK_S):
+    if belief["goal"] is not None and is_steady(belief, time_s, LOOK_S) and not _is_lost(belief, belief["goal"][1]):
         found = reach(belief["bodies"], belief["goal"], belief["tried"])
         if found is not None:
             return entered(aimed(_begun(belief, found)), OVER, time_s)

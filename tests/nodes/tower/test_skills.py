@@ -105,6 +105,17 @@ def test_what_is_lost_is_looked_for_from_every_side() -> None:
     assert all(view is HOME_GRIPPER for view in home[1:])
 
 
+def test_nothing_is_taken_for_what_is_lost() -> None:
+    """Until the cube below is found again the arm watches; onto the table it would go at once."""
+    world = Obedient()
+    world.statuses[1] = "lost"
+    for _ in range(int(3 * VIEW_S / 0.05)):
+        world.epoch((2, 1))
+    assert world.phases == [WATCH]
+    world.statuses.clear()
+    world.until(OVER, (2, 1))
+
+
 def test_what_cannot_be_done_with_a_cube_in_hand_is_given_up() -> None:
     """The cube below is never seen: the one in hand comes onto the table, though it is still asked for otherwise."""
     world = Obedient()
