@@ -3,32 +3,34 @@
 By edges alone a cube that is nearer looks like a larger one that is farther away. A cube that somebody has knocked down
 was so believed to hover over another one, in whose image its edges lie, and that one to be gone."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 import cv2
 import numpy as np
 
 from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.tracker import PickArm, first_poses
+from hierax.nodes.tracking.arm import unseen
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, transform
-from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
+from hierax.nodes.tracking.schema import LOST, TRACKED, ControlPoints, TrackedObject
 from hierax.runtime import Elements, Value
 
 BESIDE_M = 0.005  # so far from its edges a face's colour is read
 SURE_SEEN, LEAST_POINTS = 0.9, 40  # chance of a control point that surely nothing hides; of so many a colour is told
 LEARNED_NATS, LEARNED_EPOCHS = 8.0, 10  # seen as surely as this, in so many images, one tells its colour
-# By so much of chromaticity, from 0 to 1, another cube's colour has to be nearer than its own, for so many images in a
-# row: then it is taken for that one. Cubes of one colour are not told apart.
-NEARER, MISTAKEN_EPOCHS = 0.04, 4
+# A cube has another one's colour where that is as near as the first, in chromaticity from 0 to 1, and by the second
+# nearer than its own; after so many images in a row it is taken for that one. Cubes of one colour are not told apart.
+ALIKE, NEARER, MISTAKEN_EPOCHS = 0.08, 0.04, 4
 
 
 class TowerArm(PickArm):
     """An arm node that remembers the colours of what it tracks.
 
     The belief is that of `PickArm`, with ``colours``, of each object {"id", "chromaticity": (3,), red, green and blue
-    by their sum, "epochs": of how many images, "mistaken": in how many just now it had another one's}. What has one is
-    not seen where that is; what had one for `MISTAKEN_EPOCHS` is lost."""
+    by their sum, "epochs": from how many images that is known, "mistaken": in how many images in a row it was taken for
+    what has another one's colour}. In such an image it is not seen; after `MISTAKEN_EPOCHS` of them, or if it had been
+    lost before, it is lost."""
 
     def initial_belief(self) -> Value:
         """The belief of `PickArm`; no colour is known."""
@@ -37,30 +39,47 @@ class TowerArm(PickArm):
         return {**known, "colours": tuple({"id": item["id"], **nothing} for item in known["objects"])}
 
     def observe(self, observations: Elements, belief: Value) -> Value:
-        """τ of `PickArm`, but that what has another object's colour is not seen."""
+        """τ of `PickArm`, but that what has another object's colour is not seen. The image is RGB."""
         felt = super().observe(observations, belief)
         if not observations:
             return felt
-        image, intrinsics = observations[0]["image"], observations[0]["intrinsics"]
-        seen = [chromaticity(image, intrinsics, item) for item in felt["objects"]]
-        every = zip(belief["colours"], felt["objects"], seen, strict=True)
-        colours = tuple(_compared(known, item, colour, belief["colours"]) for known, item, colour in every)
-        pairs = zip(colours, belief["objects"], felt["objects"], strict=True)
+        image, intrinsics = cv2.blur(observations[0]["image"], (3, 3)), observations[0]["intrinsics"]
+        before, known = belief["objects"], belief["colours"]
+        pairs = zip(felt["objects"], before, strict=True)
+        seen = [chromaticity(image, intrinsics, item, _controls(item, was)) for item, was in pairs]
+        every = zip(known, felt["objects"], seen, strict=True)
+        colours = tuple(_compared(own, item, colour, known) for own, item, colour in every)
+        moved = np.eye(4) if belief["camera"] is None else invert(felt["camera"]) @ belief["camera"]
         objects = tuple(
-            _denied(known["mistaken"], item, belief["camera"] @ before["pose"], felt["camera"])
-            if known["mistaken"]
-            else item
-            for known, before, item in pairs
+            self._denied(own["mistaken"], was, moved) if own["mistaken"] and item["status"] == TRACKED else item
+            for own, item, was in zip(colours, felt["objects"], before, strict=True)
         )
         return {**felt, "objects": objects, "colours": colours}
 
+    def _denied(self, mistaken: int, before: Value, moved: Floats) -> Value:
+        """An object that was taken for another one, as if the image had not been: where it was expected, or lost."""
+        expected = {**before, "pose": moved @ before["pose"], "before": moved @ before["before"], "others": ()}
+        unsupported = self._blind(cast(TrackedObject, expected))
+        is_gone = mistaken >= MISTAKEN_EPOCHS or before["status"] == LOST
+        return unseen(unsupported) if is_gone else unsupported
 
-def chromaticity(image: Array, intrinsics: Array, item: Mapping[str, Any]) -> Floats | None:
+
+def _controls(item: Value, before: Value) -> ControlPoints:
+    """What is seen of an object: of one that was just found, what was expected at the nearest place where it might
+    be."""
+    if len(item["controls"]["points"]) or not before["others"]:
+        return cast(ControlPoints, item["controls"])
+    place = item["pose"][:3, 3]
+    nearest = min(before["others"], key=lambda other: float(np.linalg.norm(other["pose"][:3, 3] - place)))
+    return cast(ControlPoints, nearest["controls"])
+
+
+def chromaticity(image: Array, intrinsics: Array, item: Value, controls: ControlPoints) -> Floats | None:
     """(3,) what colour a tracked object's faces have beside their edges, red, green and blue by their sum; None where
     too little of it is seen.
 
-    Args: image: (h, w, 3) uint8; intrinsics: (4,) fx, fy, cx, cy in pixels; item: one of an arm's objects."""
-    controls = item["controls"]
+    Args: image: (h, w, 3) uint8, RGB; intrinsics: (4,) fx, fy, cx, cy in pixels; item: one of an arm's objects, and
+        its control points."""
     if item["status"] != TRACKED or len(controls["points"]) < LEAST_POINTS:
         return None
     sure = controls["visible"] > SURE_SEEN
@@ -70,31 +89,22 @@ def chromaticity(image: Array, intrinsics: Array, item: Mapping[str, Any]) -> Fl
     if np.count_nonzero(inside) < LEAST_POINTS:
         return None
     columns, rows = places[inside].T
-    colour = np.median(cv2.blur(image, (3, 3))[rows, columns].astype(np.float64), axis=0) + 1.0
+    colour = np.median(image[rows, columns].astype(np.float64), axis=0) + 1.0
     return np.asarray(colour / colour.sum())
 
 
-def _compared(
-    known: Mapping[str, Any], item: Mapping[str, Any], colour: Floats | None, every: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
-    """What is known of an object's colour after an image, and whether that has it look like another one."""
+def _compared(known: Value, item: Value, colour: Floats | None, every: Sequence[Value]) -> Value:
+    """What is known of an object's colour after an image, and whether it was taken for another one in that."""
     if colour is None:
         return {**known, "mistaken": 0}
     if known["epochs"] < LEARNED_EPOCHS:
-        sure = item["nats"] >= LEARNED_NATS
+        sure = item["nats"] >= LEARNED_NATS and not item["probation"]
         mean = (known["chromaticity"] * known["epochs"] + colour) / (known["epochs"] + 1)
-        return {**known, "chromaticity": mean, "epochs": known["epochs"] + 1} if sure else dict(known)
+        return {**known, "chromaticity": mean, "epochs": known["epochs"] + 1} if sure else known
     others = [other for other in every if other["id"] != known["id"] and other["epochs"] == LEARNED_EPOCHS]
     away = min((_apart(colour, other["chromaticity"]) for other in others), default=np.inf)
-    is_other = away < _apart(colour, known["chromaticity"]) - NEARER
+    is_other = away < min(ALIKE, _apart(colour, known["chromaticity"]) - NEARER)
     return {**known, "mistaken": known["mistaken"] + 1 if is_other else 0}
-
-
-def _denied(mistaken: int, item: Mapping[str, Any], expected: Floats, camera: Floats) -> dict[str, Any]:
-    """An object that has another one's colour: where it was expected, in the world's frame, or lost."""
-    status = LOST if mistaken >= MISTAKEN_EPOCHS else EXPECTED
-    nothing = {"score": 0.0, "nats": 0.0, "probability": 0.0}
-    return {**item, **nothing, "status": status, "pose": invert(camera) @ expected}
 
 
 def _apart(one: Floats, other: Floats) -> float:

@@ -15,6 +15,7 @@ from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.display import skill_things
 from hierax.nodes.tower.moving import AFTER, CARRY, LOWER, OF_A_MOVE, OPEN, OVER, VIEWS, lifted, over, up, watching
 from hierax.nodes.tracking.math.geometry import invert
+from hierax.nodes.tracking.schema import TRACKED
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.node import Policy
 from hierax.runtime.core.showing import Things
@@ -23,9 +24,10 @@ REST = "default"
 _MOVE, _ONTO = "move", "onto"
 _HOLDING = (LIFT, CARRY, LOWER)  # phases in which the cube is in the hand
 _FREE = (WATCH, OVER, APPROACH)  # those in which it does not matter yet which cube is meant
-# How fast the gripper goes where there is room, and between cubes: down with a cube or to one; and up with it, slowly,
-# as it is then that the camera has to see how it is held.
-ACROSS_M_S, DOWN_M_S, LIFT_M_S = 0.4, 0.12, 0.08
+# How fast the gripper goes, m/s: across the table and up from what it has put down, where there is room; between cubes;
+# and with one up from the others, slowly, as it is then that the camera has to see how it is held.
+ACROSS_M_S = 0.4
+SPEEDS_M_S = {DESCEND: 0.12, CLOSE: 0.12, LIFT: 0.08, LOWER: 0.12, OPEN: 0.12}
 
 
 def name_of(tasks: Elements) -> str:
@@ -147,12 +149,11 @@ def scene_and_skill(belief: Value) -> Elements:
 
 
 def _as_left(belief: Value, hand: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
-    """The cubes where the last look has them, but for the one that is in the hand, which moves with it."""
+    """The cubes where the last look has them, whatever they were then, but for the one that is in the hand, which moves
+    with it."""
     held = _held(belief)
-    return tuple(
-        {**body, "pose": hand["gripper"] @ invert(belief["box_from_gripper"])} if body["id"] == held else body
-        for body in belief["bodies"]
-    )
+    moved = {held: hand["gripper"] @ invert(belief["box_from_gripper"])} if held is not None else {}
+    return tuple({**body, "status": TRACKED, "pose": moved.get(body["id"], body["pose"])} for body in belief["bodies"])
 
 
 def _held(belief: Value) -> int | None:
@@ -175,7 +176,7 @@ def _with_goal(belief: Value, time_s: float) -> Value:
 def _wish(belief: Value) -> Value:
     """The gripper's command in this phase."""
     phase, grasp = belief["phase"], belief["gripper"]
-    speed = DOWN_M_S if phase in (DESCEND, CLOSE, LOWER, OPEN) else LIFT_M_S if phase == LIFT else ACROSS_M_S
+    speed = SPEEDS_M_S.get(phase, ACROSS_M_S)
     if phase == WATCH:
         return command(VIEWS[belief["view"]], WIDEST_M, speed)
     opened_m = belief["box_width"] + OPENING_M

@@ -16,7 +16,7 @@ from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 # How well it is known, in each axis, where something stands that was put there, and is not seen just now.
 STANDS_M, STANDS_RAD = 0.003, np.radians(3.0)
-PUSHED_M = 0.008  # so far what stands may be pushed in an epoch
+PUSHED_M = 0.008  # so far from where it was believed last, what stands is believed from near: by slow pushes, at 20 Hz
 ODD_EPOCHS = 30  # what is seen for so long where it cannot be is not there
 # What the fingers hold turns and slides so slowly, an epoch, and is not seen farther off than this where it truly is.
 SLIPS_M, SLIPS_RAD = 0.0002, np.radians(0.2)
@@ -77,11 +77,8 @@ class TowerSpatial(PickSpatial):
         """γ of `PickSpatial`, but that cubes of which it is known that they stand stay where they were, about as well
         known as ever, unless they are seen. While the camera overlooks the table, what is lost is lost all the same."""
         told: Value = context[0] if context else _NOTHING_TOLD
-        now = odd_bodies(belief["bodies"]) | {*belief["doubted"]} if told["looks"] else set()
-        now -= {told["held"]}
-        steps = ((number, count + 1 if number in now else count - 1) for number, count in belief["odd"])
-        odd = {number: min(max(count, 0), ODD_EPOCHS + 1) for number, count in steps}
-        denied = {number: _DENIED for number, count in odd.items() if count > ODD_EPOCHS}
+        odd = _counted(belief, told) if told["looks"] else dict(belief["odd"])
+        denied = {number: _DENIED for number, count in odd.items() if told["looks"] and count > ODD_EPOCHS}
         stands = {*told["stands"]} - {told["held"], *denied}
         kept = {
             body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6), "covariance": _bounded(body)}
@@ -110,6 +107,17 @@ class TowerSpatial(PickSpatial):
         }
 
 
+def _counted(belief: Value, told: Value) -> dict[int, int]:
+    """For how many epochs each cube is odd, where the camera overlooks the table; with one that is lost it begins
+    anew."""
+    now = (odd_bodies(belief["bodies"]) | {*belief["doubted"]}) - {told["held"]}
+    lost = {body["id"] for body in belief["bodies"] if body["status"] == LOST}
+    return {
+        number: min(count + 1, ODD_EPOCHS + 1) if number in now else 0 if number in lost else max(count - 1, 0)
+        for number, count in belief["odd"]
+    }
+
+
 def _rests(belief: Value) -> dict[int, Floats]:
     """Where each cube stands that is told to: as it was believed last, or, of what has just come to stand, expected."""
     stands = {*belief["told"]["stands"]} - {belief["told"]["held"]}
@@ -119,8 +127,8 @@ def _rests(belief: Value) -> dict[int, Floats]:
 
 
 def _is_believed(body: Value, rest: Floats, others: Sequence[Value], looks: bool) -> bool:
-    """Whether a cube that stands is where it is seen now. In the air it may be in somebody's hand, and farther from
-    where it was than anything is pushed in an epoch: while the camera overlooks the table that is seen well enough."""
+    """Whether a cube that stands is where it is seen now. In the air it may be in somebody's hand, and away from where
+    it was by more than slow pushes move it: while the camera overlooks the table that is seen well enough."""
     if not is_sure(body) or is_sunk(body, others):
         return False
     return looks or (pose_error(body["pose"], rest)[0] < PUSHED_M and not hangs(body, others))

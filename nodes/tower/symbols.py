@@ -3,8 +3,9 @@
 A symbol begins to hold when its probability reaches `BEGINS`, and ends below `ENDS`; in between it is what it was, so
 that a pose at the edge does not make it come and go. Either has to be so for `CONFIRMED` epochs in a row, as a pose may
 be wrong for an instant. Of cubes that are not seen just now, what held goes on to hold, as nothing speaks against it;
-so it does while the hand is among the cubes, as from near poses are wrong for longer than that. Of one that stays lost
-while the arm looks for it nothing holds but that it is unknown."""
+so it does while the hand is among the cubes, as from near poses are wrong for longer than that: then symbols begin
+of cubes alone of which none held. Of one that stays lost while the arm looks for it nothing holds but that it is
+unknown."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -67,29 +68,32 @@ def symbols_after(before: Symbols, bodies: Sequence[Mapping[str, Any]], holding:
     certainty: dict[str, float] = {}
     doubts: dict[str, int] = {}
 
-    def is_held(symbol: str, holds: bool, held: bool) -> bool:
-        if holds != held and (looking or not held):
+    def is_held(symbol: str, holds: bool, held: bool, may_change: bool) -> bool:
+        if holds != held and may_change:
             doubts[symbol] = before.doubts.get(symbol, 0) + 1
         if doubts.get(symbol, 0) < CONFIRMED:
             return held
         del doubts[symbol]
         return holds
 
+    settled = {*before.below, *before.on_table}
     on: list[Pair] = []
     table: list[int] = []
     for upper in known:
         number = upper["id"]
         if number == holding:
             continue
+        may_change = looking or number not in settled
         for lower in known:
             pair = (number, lower["id"])
             if lower is not upper and lower["id"] != holding:
                 chance, symbol = chance_on(upper, lower), f"on {pair[0]} {pair[1]}"
-                if is_held(symbol, _holds(chance, pair in before.on, (upper, lower)), pair in before.on):
+                held = pair in before.on
+                if is_held(symbol, _holds(chance, held, (upper, lower)), held, may_change):
                     on.append(pair)
                 _note(certainty, symbol, chance)
         chance, symbol, held = chance_on_table(upper), f"on_table {number}", number in before.on_table
-        if is_held(symbol, _holds(chance, held, (upper,)), held):
+        if is_held(symbol, _holds(chance, held, (upper,)), held, may_change):
             table.append(number)
         _note(certainty, symbol, chance)
     gone = tuple(sorted(lost.items()))

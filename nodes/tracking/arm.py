@@ -225,7 +225,7 @@ class ArmNode(Node):
             for at, item in enumerate(objects)
             if _is_missing(item) or (item["status"] == schema.EXPECTED and (item["id"] in swept or guessed[item["id"]]))
         }
-        objects = tuple({**_unseen(item), "probation": 0} if _is_refuted(item) else item for item in objects)
+        objects = tuple({**unseen(item), "probation": 0} if _is_refuted(item) else item for item in objects)
         if not missing:
             return objects
         found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), level)
@@ -270,7 +270,8 @@ class ArmNode(Node):
         return _sought(self._missed(item, item["pose"], None))
 
     def _out_of_view(self, item: schema.TrackedObject) -> schema.TrackedObject:
-        """One object where nothing of any is expected in the image: it is seen no more, and nothing new is guessed."""
+        """One object where nothing of any is expected in the image: what was tracked is seen no more, and what was
+        guessed of an earlier image is not of this one."""
         return self._blind(item) if item["status"] == schema.TRACKED else {**item, "guesses": NO_POSES}
 
     def _missed(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate | None) -> schema.TrackedObject:
@@ -303,12 +304,12 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         if item["status"] == schema.EXPECTED:
             return {**item, "guesses": np.concatenate((sighting.guesses, item["guesses"]))}
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
-        return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
+        return {**unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
     said = 1 + item["probation"] * (sighting.again and item["status"] == schema.LOST)
     if said < const.CONFIRMED:
         guesses = np.concatenate((sighting.pose[None], sighting.guesses))
         looked = max(item["failed_searches"], const.SWEEPS_FIRST)
-        return {**_unseen(item), "guesses": guesses, "probation": said, "failed_searches": looked}
+        return {**unseen(item), "guesses": guesses, "probation": said, "failed_searches": looked}
     return {
         **item,
         "slots": only_found(item["slots"]),
@@ -347,10 +348,10 @@ def _is_refuted(item: schema.TrackedObject) -> bool:
 
 def _shapeless(item: schema.TrackedObject) -> schema.TrackedObject:
     """The same where nobody says what would be seen of it."""
-    return {**_unseen(item), "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3))}
+    return {**unseen(item), "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3))}
 
 
-def _unseen(item: schema.TrackedObject) -> schema.TrackedObject:
+def unseen(item: schema.TrackedObject) -> schema.TrackedObject:
     """The same where no image says anything of it, and nobody knows where it is."""
     return {**item, "score": 0.0, "nats": 0.0, "probability": 0.0, "status": schema.LOST}
 

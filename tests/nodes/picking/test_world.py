@@ -150,6 +150,19 @@ def test_a_name_of_a_policy_is_a_command() -> None:
     assert PickWorld(0, cubes=1).select_policy((wanted,)) == name_of((wanted,))
 
 
+def test_the_gripper_is_sooner_where_it_is_sent_if_it_speeds_up_faster() -> None:
+    goal = HOME_GRIPPER.copy()
+    goal[0, 3] += 0.1
+    ways = []
+    for acceleration in (0.5, 2.0):
+        world = PickWorld(cubes=1, acceleration_m_s2=acceleration)
+        belief = world.initial_belief()
+        for _ in range(10):
+            belief = world.predict((), (command(goal, 0.08, 0.25),), belief)
+        ways.append(belief["setpoint"][0, 3] - HOME_GRIPPER[0, 3])
+    assert ways[0] < ways[1] - 0.01
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -158,6 +171,7 @@ def test_a_name_of_a_policy_is_a_command() -> None:
         ({"width": 10}, "width is 10"),
         ({"noise": -1.0}, "noise is -1"),
         ({"scene": -2}, "scene is -2"),
+        ({"acceleration_m_s2": 0.0}, "acceleration_m_s2 is 0"),
     ],
 )
 def test_what_is_out_of_range_is_named(options: dict[str, Any], said: str) -> None:

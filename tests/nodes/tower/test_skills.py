@@ -106,12 +106,13 @@ def test_what_is_lost_is_looked_for_from_every_side() -> None:
 
 
 def test_nothing_is_taken_for_what_is_lost() -> None:
-    """Until the cube below is found again the arm watches; onto the table it would go at once."""
+    """Until the cube below is found again the arm watches; onto the table the cube goes at once."""
     world = Obedient()
     world.statuses[1] = "lost"
     for _ in range(int(3 * VIEW_S / 0.05)):
         world.epoch((2, 1))
     assert world.phases == [WATCH]
+    world.until(OVER, (2, 0))
     world.statuses.clear()
     world.until(OVER, (2, 1))
 
@@ -134,6 +135,15 @@ def test_what_the_cube_in_hand_hides_is_where_it_was_seen_last() -> None:
     world.statuses[1] = "expected"
     world.until(OPEN, (2, 1))
     assert world.belief["goal"] == (2, 1)
+
+
+def test_up_with_a_cube_the_hand_goes_more_slowly_than_across_the_table() -> None:
+    world = Obedient()
+    speeds = {}
+    while RETREAT not in world.phases:
+        wish = world.epoch((2, 1))
+        speeds[world.belief["phase"]] = wish["speed"]
+    assert speeds[LIFT] < speeds[LOWER] == speeds[DESCEND] < speeds[OVER] == speeds[CARRY] == speeds[RETREAT]
 
 
 def test_once_the_cubes_are_where_the_hand_has_left_them() -> None:

@@ -64,6 +64,25 @@ def test_what_is_seen_in_the_air_most_of_the_time_is_lost_all_the_same() -> None
     assert LOST in statuses
 
 
+def test_what_is_found_again_has_as_long_as_at_first() -> None:
+    odd, lost = shown(pose=lifted(0.1)), shown(status=LOST)
+    node, belief = spatial(0, CUBES), odd
+    for seen, epochs in ((odd, ODD_EPOCHS + 1), (lost, 1), (odd, ODD_EPOCHS)):
+        for _ in range(epochs):
+            belief = node.predict((LOOKS,), (), {**belief, "bodies": seen["bodies"]})
+    assert belief["bodies"][1]["status"] == TRACKED
+
+
+def test_while_the_arm_does_not_look_nothing_is_counted() -> None:
+    odd, near = shown(pose=lifted(0.1)), {**LOOKS, "looks": False}
+    node, belief = spatial(0, CUBES), odd
+    for told, epochs in ((LOOKS, ODD_EPOCHS), (near, 20), (LOOKS, 1)):
+        for _ in range(epochs):
+            belief = node.predict((told,), (), {**belief, "bodies": odd["bodies"]})
+            assert told is LOOKS or belief["bodies"][1]["status"] == TRACKED
+    assert belief["bodies"][1]["status"] == LOST
+
+
 def test_what_lies_on_another_one_is_not_in_the_air() -> None:
     one, two = planned(0, CUBES)[:2]
     on = one.pose.copy()
