@@ -108,6 +108,18 @@ def test_two_cubes_change_places_while_the_camera_does_not_see_one() -> None:
     assert np.linalg.norm(first[4] - last[2]) < 0.01
 
 
+def test_those_change_places_from_which_the_gripper_is_away() -> None:
+    world = TowerWorld(TOWER, "swap", cubes=4)
+    scene = world._seen(world.initial_belief(), 0)
+    flat = [number for number in scene.idle if number not in scene.standing]
+    first, *others = flat
+    near = scene._replace(hidden=frozenset({others[-1]}), gripper=scene.bodies[first]["pose"][:3, 3])
+    stops = ACTS["swap"](near)
+    assert stops is not None
+    assert {stop.grip for stop in stops} - {0} == set(others)
+    assert ACTS["swap"](near._replace(hidden=frozenset({first}))) is None
+
+
 def test_the_cube_in_the_arms_hand_is_taken_out_of_it_and_laid_down() -> None:
     world = TowerWorld(TOWER, "take", cubes=4)
     belief = world.initial_belief()
