@@ -19,9 +19,10 @@ from hierax.runtime import Elements, Value
 BESIDE_M = 0.005  # so far from its edges a face's colour is read
 SURE_SEEN, LEAST_POINTS = 0.9, 40  # chance of a control point that surely nothing hides; of so many a colour is told
 LEARNED_NATS, LEARNED_EPOCHS = 8.0, 10  # seen as surely as this, in so many images, one tells its colour
-# A cube has another one's colour where that is as near as the first, in chromaticity from 0 to 1, and by the second
-# nearer than its own; after so many images in a row it is taken for that one. Cubes of one colour are not told apart.
-ALIKE, NEARER, MISTAKEN_EPOCHS = 0.08, 0.04, 4
+# A place has a cube's colour if it is that near, in chromaticity from 0 to 1. What has another cube's colour in more
+# than the first share of its places, and its own in less than the second, is that one, not merely partly hidden by it;
+# after so many images in a row it is lost.
+ALIKE, ANOTHERS, OWN, MISTAKEN_EPOCHS = 0.08, 0.5, 0.1, 4
 
 
 class TowerArm(PickArm):
@@ -46,7 +47,7 @@ class TowerArm(PickArm):
         image, intrinsics = cv2.blur(observations[0]["image"], (3, 3)), observations[0]["intrinsics"]
         before, known = belief["objects"], belief["colours"]
         pairs = zip(felt["objects"], before, strict=True)
-        seen = [chromaticity(image, intrinsics, item, _controls(item, was)) for item, was in pairs]
+        seen = [chromaticities(image, intrinsics, item, _controls(item, was)) for item, was in pairs]
         every = zip(known, felt["objects"], seen, strict=True)
         colours = tuple(_compared(own, item, colour, known) for own, item, colour in every)
         moved = np.eye(4) if belief["camera"] is None else invert(felt["camera"]) @ belief["camera"]
@@ -74,9 +75,9 @@ def _controls(item: Value, before: Value) -> ControlPoints:
     return cast(ControlPoints, nearest["controls"])
 
 
-def chromaticity(image: Array, intrinsics: Array, item: Value, controls: ControlPoints) -> Floats | None:
-    """(3,) what colour a tracked object's faces have beside their edges, red, green and blue by their sum; None where
-    too little of it is seen.
+def chromaticities(image: Array, intrinsics: Array, item: Value, controls: ControlPoints) -> Floats | None:
+    """(n, 3) what colours a tracked object's faces have beside their edges, red, green and blue by their sum; None
+    where too little of it is seen.
 
     Args: image: (h, w, 3) uint8, RGB; intrinsics: (4,) fx, fy, cx, cy in pixels; item: one of an arm's objects, and
         its control points."""
@@ -89,26 +90,27 @@ def chromaticity(image: Array, intrinsics: Array, item: Value, controls: Control
     if np.count_nonzero(inside) < LEAST_POINTS:
         return None
     columns, rows = places[inside].T
-    colour = np.median(image[rows, columns].astype(np.float64), axis=0) + 1.0
-    return np.asarray(colour / colour.sum())
+    seen = image[rows, columns].astype(np.float64) + 1.0
+    return np.asarray(seen / seen.sum(axis=1, keepdims=True))
 
 
-def _compared(known: Value, item: Value, colour: Floats | None, every: Sequence[Value]) -> Value:
+def _compared(known: Value, item: Value, seen: Floats | None, every: Sequence[Value]) -> Value:
     """What is known of an object's colour after an image, and whether it was taken for another one in that."""
-    if colour is None:
+    if seen is None:
         return {**known, "mistaken": 0}
     if known["epochs"] < LEARNED_EPOCHS:
         sure = item["nats"] >= LEARNED_NATS and not item["probation"]
-        mean = (known["chromaticity"] * known["epochs"] + colour) / (known["epochs"] + 1)
+        mean = (known["chromaticity"] * known["epochs"] + np.median(seen, axis=0)) / (known["epochs"] + 1)
         return {**known, "chromaticity": mean, "epochs": known["epochs"] + 1} if sure else known
     others = [other for other in every if other["id"] != known["id"] and other["epochs"] == LEARNED_EPOCHS]
-    away = min((_apart(colour, other["chromaticity"]) for other in others), default=np.inf)
-    is_other = away < min(ALIKE, _apart(colour, known["chromaticity"]) - NEARER)
+    anothers = max((_share(seen, other["chromaticity"]) for other in others), default=0.0)
+    is_other = anothers > ANOTHERS and _share(seen, known["chromaticity"]) < OWN
     return {**known, "mistaken": known["mistaken"] + 1 if is_other else 0}
 
 
-def _apart(one: Floats, other: Floats) -> float:
-    return float(np.linalg.norm(one - other))
+def _share(seen: Floats, colour: Floats) -> float:
+    """In what share of places a colour is seen."""
+    return float((np.linalg.norm(seen - colour, axis=1) < ALIKE).mean())
 
 
 def arm(scene: int = 0, cubes: int = CUBES, **options: Any) -> TowerArm:

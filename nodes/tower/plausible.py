@@ -2,7 +2,7 @@
 
 A body here is {"id", "status", "pose": world_from_object, "model": {"vertices"}}; lengths are in metres."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,12 @@ Body = Mapping[str, Any]
 
 
 def odd_bodies(bodies: Iterable[Body]) -> set[int]:
-    """The ids of those that are seen in the air, or in the table, or expected beyond all that is looked at."""
-    known = [body for body in bodies if body["status"] != LOST]
-    return {body["id"] for body in known if _is_odd(body, known)}
+    """The ids of those that are seen in the air, or in the table, or expected beyond all that is looked at. What one
+    that is lost may carry is not in the air."""
+    every = list(bodies)
+    known = [body for body in every if body["status"] != LOST]
+    lost_m = [_extent_m(body) for body in every if body["status"] == LOST]
+    return {body["id"] for body in known if _is_odd(body, known, lost_m)}
 
 
 def is_sunk(body: Body, others: Iterable[Body]) -> bool:
@@ -28,22 +31,22 @@ def is_sunk(body: Body, others: Iterable[Body]) -> bool:
     return foot < -ODD_M or any(_is_within(body, (foot, top), other) for other in others if other["id"] != body["id"])
 
 
-def hangs(body: Body, others: Iterable[Body]) -> bool:
-    """Whether neither the table nor another body carries a body that is above the table."""
+def hangs(body: Body, others: Iterable[Body], between_m: Sequence[float] = ()) -> bool:
+    """Whether neither the table nor another body carries a body that is above the table, nor one of which nobody knows
+    where it is, and so high, that stands there."""
     foot = _foot_and_top(body)[0]
     if foot < ODD_M:
         return False
-    return not any(
-        abs(foot - _foot_and_top(other)[1]) < ODD_M and _beside_m(body, other) < _extent_m(other)
-        for other in others
-        if other["id"] != body["id"]
-    )
+    below = [other for other in others if other["id"] != body["id"] and _beside_m(body, other) < _extent_m(other)]
+    tops = [0.0, *(_foot_and_top(other)[1] for other in below)]
+    heights = [*tops[1:], *(top + height for top in tops for height in between_m)]
+    return not any(abs(foot - height) < ODD_M for height in heights)
 
 
-def _is_odd(body: Body, known: Iterable[Body]) -> bool:
+def _is_odd(body: Body, known: Iterable[Body], lost_m: Sequence[float]) -> bool:
     if body["status"] != TRACKED:
         return bool(np.linalg.norm(body["pose"][:2, 3] - TABLE_MIDDLE_M[:2]) > _REACH_M)
-    return _foot_and_top(body)[0] < -ODD_M or hangs(body, known)
+    return _foot_and_top(body)[0] < -ODD_M or hangs(body, known, lost_m)
 
 
 def _is_within(body: Body, heights: tuple[float, float], other: Body) -> bool:

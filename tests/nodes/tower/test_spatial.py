@@ -64,6 +64,14 @@ def test_what_is_seen_in_the_air_most_of_the_time_is_lost_all_the_same() -> None
     assert LOST in statuses
 
 
+def test_what_a_lost_one_may_carry_is_not_in_the_air() -> None:
+    one = planned(0, CUBES)[0]
+    for height_m, status in ((one.side_m, TRACKED), (one.side_m + 0.03, LOST)):
+        odd = shown(pose=lifted(height_m))
+        bodies = tuple({**body, "status": LOST} if body["id"] == 1 else body for body in odd["bodies"])
+        assert status_after({**odd, "bodies": bodies}, ODD_EPOCHS + 1, LOOKS) == status
+
+
 def test_what_is_found_again_has_as_long_as_at_first() -> None:
     odd, lost = shown(pose=lifted(0.1)), shown(status=LOST)
     node, belief = spatial(0, CUBES), odd
