@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.layout import TABLE_MIDDLE_M
+from hierax.nodes.tracking.math.geometry import Floats, make_pose
 from hierax.nodes.tracking.schema import LOST, TRACKED
 
 ODD_M = 0.012  # so far off what could carry it, or within the table or another cube, a cube cannot be
@@ -23,6 +24,30 @@ def odd_bodies(bodies: Iterable[Body]) -> set[int]:
     known = [body for body in every if body["status"] != LOST]
     lost_m = [_extent_m(body) for body in every if body["status"] == LOST]
     return {body["id"] for body in known if _is_odd(body, known, lost_m)}
+
+
+def carriers(bodies: Iterable[Body]) -> dict[int, Floats]:
+    """Of cubes that are lost, those that must be where something is seen to hang that one of them may carry, and there
+    the world_from_object of that which fits best: upright, its sides along those of what it stands on."""
+    every = list(bodies)
+    known = [body for body in every if body["status"] != LOST]
+    found: dict[int, Floats] = {}
+    for body in known:
+        lost = [other for other in every if other["status"] == LOST and other["id"] not in found]
+        if not lost or body["status"] != TRACKED or not hangs(body, known):
+            continue
+        foot = _foot_and_top(body)[0]
+        below = [other for other in known if other is not body and _beside_m(body, other) < _extent_m(other)]
+        base = max(
+            (each for each in below if _foot_and_top(each)[1] < foot), key=lambda b: _foot_and_top(b)[1], default=None
+        )
+        top = 0.0 if base is None else _foot_and_top(base)[1]
+        carrier = min(lost, key=lambda other: abs(foot - top - _extent_m(other)))
+        if abs(foot - top - _extent_m(carrier)) < ODD_M:
+            like = body if base is None else base
+            middle = np.array([*(body["pose"][:2, 3] + like["pose"][:2, 3]) / 2, (foot + top) / 2])
+            found[carrier["id"]] = make_pose(like["pose"][:3, :3], middle)
+    return found
 
 
 def is_sunk(body: Body, others: Iterable[Body]) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.phases import is_sure
 from hierax.nodes.picking.tracker import PickSpatial, first_bodies
-from hierax.nodes.tower.plausible import hangs, is_sunk, odd_bodies
+from hierax.nodes.tower.plausible import carriers, hangs, is_sunk, odd_bodies
 from hierax.nodes.tracking.estimation.tracked import diagonal_covariance
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, log_so3, make_pose, pose_error
 from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
@@ -16,7 +16,9 @@ from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 # How well it is known, in each axis, where something stands that was put there, and is not seen just now.
 STANDS_M, STANDS_RAD = 0.003, np.radians(3.0)
-PUSHED_M = 0.008  # so far from where it was believed last, what stands is believed from near: by slow pushes, at 20 Hz
+NEAR_M = 0.005  # from near, what stands is believed no farther from where it was when the camera overlooked the table
+# How well it is known where one must be that carries another one.
+CARRIES_M, CARRIES_RAD = 0.006, np.radians(8.0)
 ODD_EPOCHS = 30  # what is seen for so long where it cannot be is not there
 # What the fingers hold turns and slides so slowly, an epoch, and is not seen farther off than this where it truly is.
 SLIPS_M, SLIPS_RAD = 0.0002, np.radians(0.2)
@@ -67,7 +69,8 @@ class TowerSpatial(PickSpatial):
         looks = belief["told"]["looks"]
         seen = {body["id"]: body for body in sensed["bodies"] if body["status"] == TRACKED and body["id"] in rests}
         doubted = tuple(number for number, body in seen.items() if not _is_believed(body, rests[number], others, looks))
-        rests |= {number: body["pose"] for number, body in seen.items() if number not in doubted}
+        if looks:
+            rests |= {number: body["pose"] for number, body in seen.items() if number not in doubted}
         bodies = tuple(
             _unseen_at(body, rests[body["id"]]) if body["id"] in doubted else body for body in sensed["bodies"]
         )
@@ -86,8 +89,12 @@ class TowerSpatial(PickSpatial):
             if body["status"] != TRACKED and body["id"] in stands
         }
         bodies = tuple({**kept.get(body["id"], body), **denied.get(body["id"], {})} for body in belief["bodies"])
+        said = {body["id"]: body["status"] if told["looks"] else EXPECTED for body in belief["bodies"]}
+        if told["looks"]:
+            must = _must_be(belief["bodies"])
+            kept, said = kept | must, said | dict.fromkeys(must, EXPECTED)
+            bodies = tuple(must.get(body["id"], body) for body in bodies)
         after = super().predict(context, actions, {**belief, "bodies": bodies})
-        said = {body["id"]: body["status"] for body in belief["bodies"]}
         return {
             **after,
             "told": told,
@@ -98,13 +105,25 @@ class TowerSpatial(PickSpatial):
                 {
                     **body,
                     **{name: kept[body["id"]][name] for name in _STAYS},
-                    "status": said[body["id"]] if told["looks"] else EXPECTED,
+                    "status": said[body["id"]],
                 }
                 if body["id"] in kept
                 else body
                 for body in after["bodies"]
             ),
         }
+
+
+def _must_be(bodies: Sequence[Value]) -> dict[int, Value]:
+    """Cubes that are lost, but for which there is only one place: below what hangs in the air."""
+    places = carriers(bodies)
+    still = {"velocity": np.zeros(6), "drift": np.zeros(6), "seen": None, "status": EXPECTED}
+    covariance = diagonal_covariance(CARRIES_M, CARRIES_RAD)
+    return {
+        body["id"]: {**body, "pose": places[body["id"]], "covariance": covariance, **still}
+        for body in bodies
+        if body["id"] in places
+    }
 
 
 def _counted(belief: Value, told: Value) -> dict[int, int]:
@@ -127,11 +146,11 @@ def _rests(belief: Value) -> dict[int, Floats]:
 
 
 def _is_believed(body: Value, rest: Floats, others: Sequence[Value], looks: bool) -> bool:
-    """Whether a cube that stands is where it is seen now. In the air it may be in somebody's hand, and away from where
-    it was by more than slow pushes move it: while the camera overlooks the table that is seen well enough."""
+    """Whether a cube that stands is where it is seen now. While the camera overlooks the table, it may be in the air,
+    in somebody's hand, or anywhere else; from near, that is not seen well enough."""
     if not is_sure(body) or is_sunk(body, others):
         return False
-    return looks or (pose_error(body["pose"], rest)[0] < PUSHED_M and not hangs(body, others))
+    return looks or (pose_error(body["pose"], rest)[0] < NEAR_M and not hangs(body, others))
 
 
 def _unseen_at(body: Value, pose: Floats) -> Value:
