@@ -250,9 +250,9 @@ class Launched(Command):
         entries.feed(content)
         return dict(entry for entry in entries if isinstance(entry, list))  # what is being written may read as zeros
 
-    def until_epoch(self, epoch: int) -> None:
+    def until_epoch(self, epoch: int, timeout_s: float = TIMEOUT_S) -> None:
         """Wait until an epoch is committed, or for the launch's end."""
-        until(lambda: self.epoch >= epoch or not self.running, f"epoch {epoch}")
+        until(lambda: self.epoch >= epoch or not self.running, f"epoch {epoch}", timeout_s)
 
     def report(self, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
         """What it prints at its end."""
