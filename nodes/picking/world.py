@@ -96,8 +96,7 @@ class PickWorld(CommandedNode, World):
         interval_s = 1.0 / self._fps
         setpoint, pace, width = belief["setpoint"], 0.0, float(belief["fingers"].sum())
         if actions:
-            change = self._acceleration_m_s2 * interval_s
-            setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s, change)
+            setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s, self._acceleration_m_s2)
             width = actions[0]["width"]
         targets, _ = joints_for(setpoint, belief["targets"], _ITERATIONS)
         arm = Arm(*(belief[name] for name in Arm._fields))
@@ -158,16 +157,16 @@ def _placed(scene: int, cubes: int) -> tuple[dict[str, Any], ...]:
 
 
 def _advanced(
-    setpoint: Floats, pace: float, wanted: Mapping[str, Any], interval_s: float, change: float
+    setpoint: Floats, pace: float, wanted: Mapping[str, Any], interval_s: float, acceleration_m_s2: float
 ) -> tuple[Floats, float]:
-    """The setpoint an interval later, on its way to the wanted pose, and its speed, m/s, which changes by so much in an
-    interval at most."""
+    """The setpoint an interval later, on its way to the wanted pose, and its speed, m/s."""
     goal = wanted["gripper"]
     shift = goal[:3, 3] - setpoint[:3, 3]
     turn = log_so3(goal[:3, :3] @ setpoint[:3, :3].T)
     left = max(float(np.linalg.norm(shift)), _TURN_M_RAD * float(np.linalg.norm(turn)))
+    change = acceleration_m_s2 * interval_s
     # As fast as lets it still stop in time, at this braking and these intervals.
-    stopping = float(np.sqrt(2.0 * change / interval_s * left + change**2 / 4)) - change / 2
+    stopping = float(np.sqrt(2.0 * acceleration_m_s2 * left + change**2 / 4)) - change / 2
     pace = max(min(pace + change, wanted["speed"], stopping), 0.0)
     if left <= pace * interval_s or left < 1e-6:
         return goal, pace

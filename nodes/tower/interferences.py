@@ -186,9 +186,10 @@ def _cover(scene: Scene) -> list[Stop] | None:
 def _swap(scene: Scene) -> list[Stop] | None:
     flat = [number for number in scene.idle if scene.bodies[number]["pose"][2, 3] < scene.bodies[number]["side_m"]]
     pairs = (pair for pair in combinations(flat, 2) if scene.hidden.intersection(pair) and scene.is_free(*pair))
-    one, other = next(pairs, (None, None))
-    if one is None or other is None:
+    pair = next(pairs, None)
+    if pair is None:
         return None
+    one, other = pair
     spot = scene.spot(one)
     lifted = (scene.bodies[one]["side_m"] - scene.bodies[other]["side_m"]) / 2 * np.array([0.0, 0.0, 1.0])
     places = {number: scene.bodies[number]["pose"][:3, 3] for number in (one, other)}

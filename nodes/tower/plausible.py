@@ -3,6 +3,7 @@
 A body here is {"id", "status", "pose": world_from_object, "model": {"vertices"}}; lengths are in metres."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -17,36 +18,30 @@ _REACH_M = 0.6  # from the table's middle, in which cubes are looked for
 Body = Mapping[str, Any]
 
 
-def odd_bodies(bodies: Iterable[Body]) -> set[int]:
+def odd_bodies(bodies: Sequence[Body]) -> set[int]:
     """The ids of those that are seen in the air, or in the table, or expected beyond all that is looked at. What one
     that is lost may carry is not in the air."""
-    every = list(bodies)
-    known = [body for body in every if body["status"] != LOST]
-    lost_m = [_extent_m(body) for body in every if body["status"] == LOST]
+    known = [body for body in bodies if body["status"] != LOST]
+    lost_m = [_extent_m(body) for body in bodies if body["status"] == LOST]
     return {body["id"] for body in known if _is_odd(body, known, lost_m)}
 
 
-def carriers(bodies: Iterable[Body]) -> dict[int, Floats]:
+def carriers(bodies: Sequence[Body]) -> dict[int, Floats]:
     """Of cubes that are lost, those that must be where something is seen to hang that one of them may carry, and there
     the world_from_object of that which fits best: upright, its sides along those of what it stands on."""
-    every = list(bodies)
-    known = [body for body in every if body["status"] != LOST]
+    known = [body for body in bodies if body["status"] != LOST]
     found: dict[int, Floats] = {}
     for body in known:
-        lost = [other for other in every if other["status"] == LOST and other["id"] not in found]
+        lost = [other for other in bodies if other["status"] == LOST and other["id"] not in found]
         if not lost or body["status"] != TRACKED or not hangs(body, known):
             continue
         foot = _foot_and_top(body)[0]
-        below = [other for other in known if other is not body and _beside_m(body, other) < _extent_m(other)]
-        base = max(
-            (each for each in below if _foot_and_top(each)[1] < foot), key=lambda b: _foot_and_top(b)[1], default=None
-        )
-        top = 0.0 if base is None else _foot_and_top(base)[1]
+        tops = [(_foot_and_top(other)[1], other) for other in _overlapping(body, known)]
+        top, base = max((each for each in tops if each[0] < foot), key=itemgetter(0), default=(0.0, body))
         carrier = min(lost, key=lambda other: abs(foot - top - _extent_m(other)))
         if abs(foot - top - _extent_m(carrier)) < ODD_M:
-            like = body if base is None else base
-            middle = np.array([*(body["pose"][:2, 3] + like["pose"][:2, 3]) / 2, (foot + top) / 2])
-            found[carrier["id"]] = make_pose(like["pose"][:3, :3], middle)
+            middle = np.array([*(body["pose"][:2, 3] + base["pose"][:2, 3]) / 2, (foot + top) / 2])
+            found[carrier["id"]] = make_pose(base["pose"][:3, :3], middle)
     return found
 
 
@@ -62,10 +57,14 @@ def hangs(body: Body, others: Iterable[Body], between_m: Sequence[float] = ()) -
     foot = _foot_and_top(body)[0]
     if foot < ODD_M:
         return False
-    below = [other for other in others if other["id"] != body["id"] and _beside_m(body, other) < _extent_m(other)]
-    tops = [0.0, *(_foot_and_top(other)[1] for other in below)]
+    tops = [0.0, *(_foot_and_top(other)[1] for other in _overlapping(body, others))]
     heights = [*tops[1:], *(top + height for top in tops for height in between_m)]
     return not any(abs(foot - height) < ODD_M for height in heights)
+
+
+def _overlapping(body: Body, others: Iterable[Body]) -> list[Body]:
+    """Those other bodies over which, or under which, the middle of a body is."""
+    return [other for other in others if other["id"] != body["id"] and _beside_m(body, other) < _extent_m(other)]
 
 
 def _is_odd(body: Body, known: Iterable[Body], lost_m: Sequence[float]) -> bool:

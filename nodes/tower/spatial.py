@@ -80,8 +80,9 @@ class TowerSpatial(PickSpatial):
         """γ of `PickSpatial`, but that cubes of which it is known that they stand stay where they were, about as well
         known as ever, unless they are seen. While the camera overlooks the table, what is lost is lost all the same."""
         told: Value = context[0] if context else _NOTHING_TOLD
-        odd = _counted(belief, told) if told["looks"] else dict(belief["odd"])
-        denied = {number: _DENIED for number, count in odd.items() if told["looks"] and count > ODD_EPOCHS}
+        looks = told["looks"]
+        odd = _counted(belief, told) if looks else dict(belief["odd"])
+        denied = {number: _DENIED for number, count in odd.items() if looks and count > ODD_EPOCHS}
         stands = {*told["stands"]} - {told["held"], *denied}
         kept = {
             body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6), "covariance": _bounded(body)}
@@ -89,18 +90,19 @@ class TowerSpatial(PickSpatial):
             if body["status"] != TRACKED and body["id"] in stands
         }
         bodies = tuple({**kept.get(body["id"], body), **denied.get(body["id"], {})} for body in belief["bodies"])
-        said = {body["id"]: body["status"] if told["looks"] else EXPECTED for body in belief["bodies"]}
-        if told["looks"]:
-            must = _must_be(belief["bodies"])
-            kept, said = kept | must, said | dict.fromkeys(must, EXPECTED)
-            bodies = tuple(must.get(body["id"], body) for body in bodies)
+        said = {body["id"]: body["status"] if looks else EXPECTED for body in belief["bodies"]}
+        known = {body["id"]: body for body in belief["bodies"]}
+        for number, pose in (carriers(belief["bodies"]) if looks else {}).items():
+            kept[number] = _unseen_at(known[number], pose, CARRIES_M, CARRIES_RAD)
+            said[number] = EXPECTED
+            bodies = _with(bodies, kept[number])
         after = super().predict(context, actions, {**belief, "bodies": bodies})
         return {
             **after,
             "told": told,
             **(_NO_HOLD if told["held"] is None or told["held"] != belief["told"]["held"] else {}),
             "odd": tuple(odd.items()),
-            "sweeping": after["sweeping"] if told["looks"] else (),
+            "sweeping": after["sweeping"] if looks else (),
             "bodies": tuple(
                 {
                     **body,
@@ -112,18 +114,6 @@ class TowerSpatial(PickSpatial):
                 for body in after["bodies"]
             ),
         }
-
-
-def _must_be(bodies: Sequence[Value]) -> dict[int, Value]:
-    """Cubes that are lost, but for which there is only one place: below what hangs in the air."""
-    places = carriers(bodies)
-    still = {"velocity": np.zeros(6), "drift": np.zeros(6), "seen": None, "status": EXPECTED}
-    covariance = diagonal_covariance(CARRIES_M, CARRIES_RAD)
-    return {
-        body["id"]: {**body, "pose": places[body["id"]], "covariance": covariance, **still}
-        for body in bodies
-        if body["id"] in places
-    }
 
 
 def _counted(belief: Value, told: Value) -> dict[int, int]:
@@ -153,11 +143,10 @@ def _is_believed(body: Value, rest: Floats, others: Sequence[Value], looks: bool
     return looks or (pose_error(body["pose"], rest)[0] < NEAR_M and not hangs(body, others))
 
 
-def _unseen_at(body: Value, pose: Floats) -> Value:
-    """A body as if it had not been seen, at a pose."""
+def _unseen_at(body: Value, pose: Floats, sigma_m: float = STANDS_M, sigma_rad: float = STANDS_RAD) -> Value:
+    """A body as if it had not been seen, at a pose, which is so well known."""
     still = {"velocity": np.zeros(6), "drift": np.zeros(6), "seen": None}
-    covariance = diagonal_covariance(STANDS_M, STANDS_RAD)
-    return {**body, "pose": pose, "status": EXPECTED, "covariance": covariance, **still}
+    return {**body, "pose": pose, "status": EXPECTED, "covariance": diagonal_covariance(sigma_m, sigma_rad), **still}
 
 
 def _hand_believed(sensed: Value) -> Value:
