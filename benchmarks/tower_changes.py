@@ -21,7 +21,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tower import CUBES, TOWER
+from tower_scenes import DEFAULTS, settings, words
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -33,7 +33,7 @@ LONG_S = 1200.0
 PLANNER = f"""nodes:
   builder:
     class: hierax.nodes.tower.builder:builder
-    parameters: {{builder: planner, tower: {TOWER}, cubes: {CUBES}}}
+    parameters: {{builder: planner, tower: {DEFAULTS["tower"]}, cubes: {DEFAULTS["cubes"]}}}
 """
 
 
@@ -46,12 +46,10 @@ def main() -> int:
     print(f"{'scene':>5} {'launch':9} {'epochs':>6} {'done':>5} {'digest':>7}", flush=True)
     right = True
     for scene in range(*map(int, options.scenes.split(":"))):
-        given = {"scene": scene, "cubes": CUBES, "tower": TOWER, "person": options.person, "pictures": 100_000}
-        words = ["tower", "--seed", str(scene)]
-        words += [word for path, value in given.items() for word in ("--set", f"{path}={value}")]
-        alone = hierax("run", *words)
-        right &= told(scene, "killed", killed(words, alone["epochs"]), alone)
-        launched, again = replaced(words, alone["epochs"] // 3)
+        arguments = words(settings({"person": options.person}, scene))
+        alone = hierax("run", *arguments)
+        right &= told(scene, "killed", killed(arguments, alone["epochs"]), alone)
+        launched, again = replaced(arguments, alone["epochs"] // 3)
         right &= told(scene, "replaced", launched, again)
     return int(not right)
 
@@ -65,28 +63,28 @@ def told(scene: int, what: str, launched: dict[str, Any], run: dict[str, Any]) -
     return bool(done and equal)
 
 
-def killed(words: list[str], epochs: int) -> dict[str, Any]:
+def killed(arguments: list[str], epochs: int) -> dict[str, Any]:
     """The report of a launch in which every node's process is killed once."""
-    with tempfile.TemporaryDirectory() as folder, Launched(Path(folder), *words) as launch:
+    with tempfile.TemporaryDirectory() as folder, Launched(Path(folder), *arguments) as launch:
         for count, name in enumerate(NODES, start=1):
             launch.until_epoch(count * epochs // (len(NODES) + 1), LONG_S)
             os.kill(launch.until_pid(name), signal.SIGKILL)
         return launch.report(LONG_S)
 
 
-def replaced(words: list[str], epoch: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def replaced(arguments: list[str], epoch: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """The reports of a launch in which the planner takes over, and of the run that repeats it."""
     with tempfile.TemporaryDirectory() as folder:
         planner = Path(folder) / "planner.yaml"
         planner.write_text(PLANNER)
-        with Launched(Path(folder), *words) as launch:
+        with Launched(Path(folder), *arguments) as launch:
             launch.until_epoch(epoch, LONG_S)
             command = [*HIERAX, "replace", "builder", str(planner), "--format", "json"]
             there = environment(Path(folder))
             done = subprocess.run(command, capture_output=True, text=True, env=there, check=True)
             launched = launch.report(LONG_S)
         at = f"{json.loads(done.stdout)['epoch']}:replace:builder:{planner}"
-        return launched, hierax("run", *words, "--at", at)
+        return launched, hierax("run", *arguments, "--at", at)
 
 
 if __name__ == "__main__":

@@ -13,14 +13,13 @@ is lost is counted, and has no error.
 from __future__ import annotations
 
 import argparse
-import json
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from tower import CONTEXTS, CUBES, TOWER
+from tower_scenes import CONTEXTS, settings
 
 import hierax
 from hierax.nodes.tower.moving import OPEN
@@ -78,10 +77,7 @@ def main() -> int:
     errors, done = Errors(), 0
     scenes = range(*map(int, options.scenes.split(":")))
     for scene in scenes:
-        given = {"cubes": CUBES, "tower": TOWER, "person": json.dumps(options.person), "pictures": 100000}
-        settings = [f"{path}={value}" for path, value in given.items()]
-        settings += [f"{path}=null" for path in CONTEXTS.get(options.without, ())]
-        done += episode(scene, [*settings, f"scene={scene}"], errors)
+        done += episode(scene, settings({"person": options.person}, scene, options.without), errors)
     without = "" if options.without is None else f", without context from {options.without}"
     print(f"somebody does {options.person}{without}: {done} of {len(scenes)} scenes done")
     print(f"  {'mm':29} {'median':>7} {'95 %':>7} {'worst':>8} {'lost':>8}")
@@ -89,10 +85,10 @@ def main() -> int:
     return int(done < len(scenes))
 
 
-def episode(scene: int, settings: list[str], errors: Errors) -> bool:
+def episode(scene: int, set_to: Mapping[str, str], errors: Errors) -> bool:
     """Run a scene to its end; whether its tower stands then."""
     phase, falling = "", 0
-    with hierax.run("tower", seed=scene, settings=settings) as run:
+    with hierax.run("tower", seed=scene, settings=[f"{path}={value}" for path, value in set_to.items()]) as run:
         for _ in run:
             world, skills = run.belief("world"), run.belief("skills")
             believed = {body["id"]: body for body in run.belief("spatial")["bodies"]}

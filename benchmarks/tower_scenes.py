@@ -1,0 +1,80 @@
+"""Scenes of the tower deployment for the benchmarks: what is set in one, who interferes, what it takes at least."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.picking.layout import planned
+from hierax.nodes.tower.goals import Towers, read_towers
+from hierax.nodes.tower.interferences import ACTS
+from hierax.nodes.tower.rules import TABLE, wish_of
+from hierax.nodes.tower.symbols import Symbols
+from hierax.nodes.tower.world import NONE
+from hierax.runtime.deployment.tree import read_tree
+
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
+DEFAULTS = {"cubes": "4", "tower": "[1, 3, 4, 2]", "person": NONE, "pictures": "100000"}
+RANDOM, THREE = "random", 3
+CONTEXTS = {
+    "skills": ("edges.spatial -> skills.context", "edges.skills -> builder.context"),
+    "builder": ("edges.skills -> builder.context",),
+    "spatial": ("edges.arm -> spatial.context",),
+}
+"""By the node without whose context it is tried, and those above it: what is left out of the deployment."""
+
+
+def settings(given: Mapping[str, str], scene: int, without: str | None = None) -> dict[str, str]:
+    """What is set in a scene, PATH: VALUE; of what is not given there are `DEFAULTS`."""
+    all_given = {**DEFAULTS, **given, **dict.fromkeys(CONTEXTS.get(without or "", ()), "null")}
+    acts = interferences(all_given["person"], scene)
+    return {**all_given, "person": json.dumps(acts[0] if len(acts) == 1 else acts), "scene": str(scene)}
+
+
+def words(set_to: Mapping[str, str]) -> list[str]:
+    """The arguments of a command that has the scene, with its number as seed."""
+    each = (word for path, value in set_to.items() for word in ("--set", f"{path}={value}"))
+    return ["tower", "--seed", set_to["scene"], *each]
+
+
+def interferences(person: str, scene: int) -> list[str]:
+    """What somebody does: one, several separated by '+', or `RANDOM`, three that the scene's number draws."""
+    if person != RANDOM:
+        return person.split("+")
+    drawn = np.random.default_rng([scene, THREE]).choice(list(ACTS), THREE, replace=False)
+    return [str(name) for name in drawn]
+
+
+def episode(command: str, set_to: Mapping[str, str]) -> dict[str, Any]:
+    """The report of a scene to its end, by a command, run or launch; ends the program where that fails."""
+    arguments = [*HIERAX, command, *words(set_to), "--format", "json"]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"scene {set_to['scene']}: {done.stderr.strip()}")
+    return dict(json.loads(done.stdout))
+
+
+def towers_of(set_to: Mapping[str, str]) -> Towers:
+    """The towers that are asked for."""
+    cubes, tower = (read_tree(set_to[name], name).value for name in ("cubes", "tower"))
+    return read_towers(tower, cubes)
+
+
+def least_moves(set_to: Mapping[str, str]) -> int:
+    """How many moves the rules take from how a scene is laid out, if each succeeds and nobody interferes."""
+    towers = towers_of(set_to)
+    blocks = {place.id: place.below for place in planned(int(set_to["scene"]), int(set_to["cubes"]))}
+    moves = 0
+    while True:
+        on = tuple(sorted((upper, lower) for upper, lower in blocks.items() if lower != TABLE))
+        table = tuple(sorted(cube for cube, lower in blocks.items() if lower == TABLE))
+        wish = wish_of(towers, Symbols(on, table, (), None, {}))
+        if wish.cube is None:
+            return moves
+        blocks[wish.cube] = wish.onto
+        moves += 1
