@@ -30,6 +30,7 @@ HELD_S = 2.0
 _ENOUGH_S = 2.5
 # From frame to frame the arm moves a little: so few steps bring its gripper where it should be; its posture follows.
 _ITERATIONS = 12
+_ASTRAY = 0.02  # metres or radians: farther from where it should come the arm does not go
 _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 _TRUTH = 3
 
@@ -98,7 +99,9 @@ class PickWorld(CommandedNode, World):
         if actions:
             setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s, self._acceleration_m_s2)
             width = actions[0]["width"]
-        targets, _ = joints_for(setpoint, belief["targets"], _ITERATIONS)
+        targets, off = joints_for(setpoint, belief["targets"], _ITERATIONS)
+        if off > _ASTRAY:  # a joint is at its end: the arm stays where it is
+            targets, setpoint, pace = belief["targets"], belief["setpoint"], 0.0
         arm = Arm(*(belief[name] for name in Arm._fields))
         cubes = [Cube(body["side_m"], body["pose"], body["velocity"]) for body in belief["bodies"]]
         order = Order(belief["targets"], targets, width)

@@ -20,6 +20,7 @@ _LATE_S = 2.0  # a stop that is not reached is given up so long after it should 
 _REACHED_M = 0.004
 _TURN_RAD_S = 2.0
 _MISSES_M = 0.02  # what is farther from the palm is not gripped
+_LEASH_M = 0.04  # no farther ahead a hand is drawn: one that comes free flings nothing away
 _PERSON = 5  # of the numbers that are drawn
 
 SKIN, SLEEVE = (222, 170, 136), (58, 70, 96)
@@ -44,9 +45,19 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
     belief = _gripping(belief, stop, scene)
     target, there = _advanced(belief["target"], stop, scene, interval_s)
     grip = Grip(stop.grip, belief["holds"]) if belief["holds"] is not None else None
-    guest = Guest(belief["hand"], belief["velocity"], belief["target"], target, grip)
+    ends = (_near(belief["hand"], each) for each in (belief["target"], target))
+    guest = Guest(belief["hand"], belief["velocity"], *ends, grip)
     belief = {**belief, "target": target, "late_s": belief["late_s"] + interval_s if there else 0.0}
     return belief, guest
+
+
+def _near(hand: Floats, target: Floats) -> Floats:
+    """The pose to which a hand is drawn: where it should be, or on the way there."""
+    way = target[:3, 3] - hand[:3, 3]
+    length = float(np.linalg.norm(way))
+    if length <= _LEASH_M:
+        return target
+    return make_pose(target[:3, :3], hand[:3, 3] + _LEASH_M / length * way)
 
 
 def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:

@@ -30,9 +30,10 @@ def place_on(
     least = least_turn(held["pose"], lower["pose"])
     middle = lower["pose"][:3, 3] + [0.0, 0.0, half_height(lower) + half_height(held) + GAP_M]
     others = [body for body in bodies if body is not held]
+    wrist = _wrist(held, box_from_gripper)
     for quarter in _QUARTERS:
         pose = _turned(held["pose"], least + quarter, middle)
-        found = _fits(pose @ box_from_gripper, others, width_m)
+        found = _fits(pose @ box_from_gripper, others, width_m, wrist)
         if found is not None:
             return found
     return None
@@ -42,9 +43,10 @@ def place_on_table(held: Body, bodies: Sequence[Body], box_from_gripper: Floats,
     """The same at a free place of the table: the nearest to where the box is; None: there is none."""
     others = [body for body in bodies if body is not held]
     circles = [(body["pose"][:2, 3], float(np.linalg.norm(body["size"][:2]))) for body in others]
+    wrist = _wrist(held, box_from_gripper)
     for spot in free_spots(circles, float(np.linalg.norm(held["size"][:2])), held["pose"][:2, 3]):
         pose = _turned(held["pose"], 0.0, np.array([*spot, half_height(held) + GAP_M]))
-        found = _fits(pose @ box_from_gripper, others, width_m)
+        found = _fits(pose @ box_from_gripper, others, width_m, wrist)
         if found is not None:
             return found
     return None
@@ -77,7 +79,14 @@ def at_height(gripper: Floats, height_m: float) -> Floats:
     return raised
 
 
-def _fits(gripper: Floats, others: Sequence[Body], width_m: float) -> Floats | None:
+def _wrist(held: Body, box_from_gripper: Floats) -> float:
+    """The angle of the last joint where the hand holds a box now, rad."""
+    return float(joints_for(held["pose"] @ box_from_gripper, HOME_RAD)[0][-1])
+
+
+def _fits(gripper: Floats, others: Sequence[Body], width_m: float, wrist: float) -> Floats | None:
+    """The gripper's pose, if the hand can come there and touches nothing: not through the wrist's ends, between which
+    it has less than a whole turn, so that the way from one side of them to the other is the long one."""
     poses = [body["pose"] for body in others]
     boxes = Boxes(
         np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3),
@@ -85,7 +94,10 @@ def _fits(gripper: Floats, others: Sequence[Body], width_m: float) -> Floats | N
         np.array([body["size"] for body in others]).reshape(-1, 3) / 2,
     )
     joints, off = joints_for(before(gripper), HOME_RAD)
-    if off > _REACHED or joints_for(gripper, joints)[1] > _REACHED:
+    if off > _REACHED:
+        return None
+    joints, off = joints_for(gripper, joints)
+    if off > _REACHED or abs(joints[-1] - wrist) > np.pi:
         return None
     return gripper if clear(gripper, width_m + OPENING_M, boxes, CLEARANCES_M[-1]) else None
 
