@@ -9,7 +9,7 @@ import pytest
 
 from hierax.nodes.picking.commands import command, name_of
 from hierax.nodes.picking.layout import GUESS_M, GUESS_RAD, guessed, planned
-from hierax.nodes.picking.panda import HOME_GRIPPER, gripper_at, gripper_down
+from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M, gripper_at, gripper_down
 from hierax.nodes.picking.views import SceneView
 from hierax.nodes.picking.world import OFF_PLAN_M, OFF_PLAN_RAD, PickWorld, picture_and_hand_seen
 from hierax.nodes.tracking.math.geometry import Array, Floats, pose_error
@@ -71,6 +71,21 @@ def test_the_path_is_straight() -> None:
         belief = after(world, belief, command(gripper_down(goal), 0.08, 0.25), 1)
         off = gripper_at(belief["joints"])[:3, 3] - start
         assert np.linalg.norm(off - (off @ along) * along) < 0.004
+
+
+def test_an_arm_with_a_joint_at_its_end_stays_and_comes_back() -> None:
+    """The shortest turn from one pose to the other leads through the end of the last joint."""
+    world = PickWorld()
+    first = gripper_down(np.array([0.458, 0.134, 0.25]), np.radians(177.0))
+    belief = after(world, world.initial_belief(), command(first, WIDEST_M, 0.4), 80)
+    beyond = command(gripper_down(np.array([0.465, 0.031, 0.25]), np.radians(-87.0)), WIDEST_M, 0.4)
+    for _ in range(80):
+        belief = after(world, belief, beyond, 1)
+        assert np.linalg.norm(gripper_at(belief["joints"])[:3, 3] - belief["setpoint"][:3, 3]) < 0.01
+    stopped = belief["setpoint"]
+    assert np.array_equal(after(world, belief, beyond, 5)["setpoint"], stopped)
+    back = after(world, belief, command(first, WIDEST_M, 0.4), 80)
+    assert pose_error(gripper_at(back["joints"]), first)[0] < 0.002
 
 
 def test_without_a_command_the_arm_stays() -> None:

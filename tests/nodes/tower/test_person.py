@@ -157,6 +157,19 @@ def test_a_hand_draws_back_where_the_gripper_comes_and_tries_again() -> None:
     assert moved(moves_m(until_done(world, belief)))
 
 
+def test_a_hand_that_comes_free_flings_nothing() -> None:
+    """It was held up, with a cube in it, until it should have been far ahead."""
+    world, belief = begun("move")
+    while belief["person"]["holds"] is None or belief["bodies"][3]["pose"][2, 3] < 0.08:
+        belief = world.predict((), REST, belief, Tick(seed=1))
+    ahead = belief["person"]["target"].copy()
+    ahead[:3, 3] += (0.0, -0.25, 0.20)
+    beliefs = until_done(world, {**belief, "person": {**belief["person"], "target": ahead}})
+    hands = [each["person"]["hand"][:3, 3] for each in beliefs if each["obstacles"]]
+    assert np.linalg.norm(np.diff(hands, axis=0), axis=1).max() < 0.08
+    assert beliefs[-1]["bodies"][3]["pose"][2, 3] < 0.03  # on the table
+
+
 def test_several_happen_one_after_the_other() -> None:
     """A cube that is removed is out of the camera's sight for seconds, and comes back elsewhere."""
     world, belief = begun(["push", "none", "remove"])
