@@ -31,6 +31,8 @@ _ENOUGH_S = 2.5
 # From frame to frame the arm moves a little: so few steps bring its gripper where it should be; its posture follows.
 _ITERATIONS = 12
 _ASTRAY = 0.02  # metres or radians: farther from where it should come the arm does not go
+_WIDE_RAD = 1.0  # what turns less comes from no side of the wrist's end to the other
+_TURN_RAD_S = 1.5  # so fast the joint turns that has the longest way, where the arm does not go straight
 _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 _TRUTH = 3
 
@@ -100,8 +102,9 @@ class PickWorld(CommandedNode, World):
             setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s, self._acceleration_m_s2)
             width = actions[0]["width"]
         targets, off = joints_for(setpoint, belief["targets"], _ITERATIONS)
-        if off > _ASTRAY:  # a joint is at its end: the arm stays where it is
-            targets, setpoint, pace = belief["targets"], belief["setpoint"], 0.0
+        detour = _detour(actions[0]["gripper"], belief, off > _ASTRAY, interval_s) if actions else None
+        if detour is not None:
+            targets, setpoint, pace = detour, gripper_at(detour), 0.0
         arm = Arm(*(belief[name] for name in Arm._fields))
         cubes = [Cube(body["side_m"], body["pose"], body["velocity"]) for body in belief["bodies"]]
         order = Order(belief["targets"], targets, width)
@@ -175,6 +178,24 @@ def _advanced(
         return goal, pace
     part = pace * interval_s / left
     return make_pose(exp_so3(part * turn) @ setpoint[:3, :3], setpoint[:3, 3] + part * shift), pace
+
+
+def _detour(goal: Floats, belief: Value, blocked: bool, interval_s: float) -> Floats | None:
+    """The joints' angles an interval later where the arm does not go straight: as it cannot, or as the shortest turn
+    leads the wrist, which has less than a whole one, through its end. Then all joints turn to where they are to be, or
+    stay where that is nowhere. None: the straight way is free."""
+    turn = log_so3(goal[:3, :3] @ belief["setpoint"][:3, :3].T)
+    if not blocked and float(np.linalg.norm(turn)) < _WIDE_RAD:
+        return None
+    targets: Floats = belief["targets"]
+    there, off = joints_for(goal, HOME_RAD)
+    way = there - targets
+    if off > _ASTRAY:
+        return targets if blocked else None
+    # How far the hand, pointing down, turns about the vertical by the joints' way: the same, or by a whole turn less.
+    if not blocked and abs(turn[2] - (way[0] - way[-1])) <= np.pi:
+        return None
+    return targets + way * min(1.0, _TURN_RAD_S * interval_s / max(float(np.abs(way).max()), 1e-12))
 
 
 def _moved(body: Mapping[str, Any], cube: Cube, touch: Touch, interval_s: float) -> dict[str, Any]:

@@ -45,19 +45,17 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
     belief = _gripping(belief, stop, scene)
     target, there = _advanced(belief["target"], stop, scene, interval_s)
     grip = Grip(stop.grip, belief["holds"]) if belief["holds"] is not None else None
-    ends = (_near(belief["hand"], each) for each in (belief["target"], target))
-    guest = Guest(belief["hand"], belief["velocity"], *ends, grip)
+    slack = _slack(belief)
+    start, end = (make_pose(each[:3, :3], each[:3, 3] - slack) for each in (belief["target"], target))
+    guest = Guest(belief["hand"], belief["velocity"], start, end, grip)
     belief = {**belief, "target": target, "late_s": belief["late_s"] + interval_s if there else 0.0}
     return belief, guest
 
 
-def _near(hand: Floats, target: Floats) -> Floats:
-    """The pose to which a hand is drawn: where it should be, or on the way there."""
-    way = target[:3, 3] - hand[:3, 3]
-    length = float(np.linalg.norm(way))
-    if length <= _LEASH_M:
-        return target
-    return make_pose(target[:3, :3], hand[:3, 3] + _LEASH_M / length * way)
+def _slack(belief: Value) -> Floats:
+    """By how much (3,) less far a hand is drawn than to where it should be by now, m: nothing, unless it is held up."""
+    way = belief["target"][:3, 3] - belief["hand"][:3, 3]
+    return np.asarray(way * max(0.0, 1.0 - _LEASH_M / max(float(np.linalg.norm(way)), _LEASH_M)))
 
 
 def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:

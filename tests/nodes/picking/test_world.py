@@ -73,19 +73,37 @@ def test_the_path_is_straight() -> None:
         assert np.linalg.norm(off - (off @ along) * along) < 0.004
 
 
-def test_an_arm_with_a_joint_at_its_end_stays_and_comes_back() -> None:
-    """The shortest turn from one pose to the other leads through the end of the last joint."""
+WAYS = [((177.0, 0.03), (-87.0, 0.03)), ((-87.0, 0.03), (177.0, 0.13)), ((177.0, 0.13), (0.0, 0.03))]
+
+
+@pytest.mark.parametrize(("start", "goal"), WAYS)
+def test_the_wrist_turns_round_the_other_way_where_its_end_is_in_between(
+    start: tuple[float, float], goal: tuple[float, float]
+) -> None:
+    """Of the first two ways the shortest turn leads through the end of the last joint."""
     world = PickWorld()
-    first = gripper_down(np.array([0.458, 0.134, 0.25]), np.radians(177.0))
-    belief = after(world, world.initial_belief(), command(first, WIDEST_M, 0.4), 80)
-    beyond = command(gripper_down(np.array([0.465, 0.031, 0.25]), np.radians(-87.0)), WIDEST_M, 0.4)
-    for _ in range(80):
-        belief = after(world, belief, beyond, 1)
-        assert np.linalg.norm(gripper_at(belief["joints"])[:3, 3] - belief["setpoint"][:3, 3]) < 0.01
-    stopped = belief["setpoint"]
-    assert np.array_equal(after(world, belief, beyond, 5)["setpoint"], stopped)
-    back = after(world, belief, command(first, WIDEST_M, 0.4), 80)
-    assert pose_error(gripper_at(back["joints"]), first)[0] < 0.002
+    poses = [gripper_down(np.array([0.46, y, 0.25]), np.radians(degrees)) for degrees, y in (start, goal)]
+    belief = after(world, world.initial_belief(), command(poses[0], WIDEST_M, 0.4), 80)
+    assert pose_error(gripper_at(belief["joints"]), poses[0])[0] < 0.002
+    for _ in range(150):
+        belief = after(world, belief, command(poses[1], WIDEST_M, 0.4), 1)
+        assert np.linalg.norm(gripper_at(belief["joints"])[:3, 3] - belief["setpoint"][:3, 3]) < 0.02
+    assert pose_error(gripper_at(belief["joints"]), poses[1])[0] < 0.002
+    assert pose_error(gripper_at(belief["joints"]), poses[1])[1] < 0.01
+
+
+def test_where_it_cannot_come_the_arm_stays_and_comes_back() -> None:
+    world = PickWorld()
+    start = gripper_down(np.array([0.50, 0.0, 0.25]))
+    belief = after(world, world.initial_belief(), command(start, WIDEST_M, 0.4), 60)
+    away = command(gripper_down(np.array([1.20, 0.0, 0.25])), WIDEST_M, 0.4)
+    for _ in range(100):
+        belief = after(world, belief, away, 1)
+        assert np.linalg.norm(gripper_at(belief["joints"])[:3, 3] - belief["setpoint"][:3, 3]) < 0.04
+    assert 0.6 < belief["setpoint"][0, 3] < 1.0
+    assert pose_error(after(world, belief, away, 5)["setpoint"], belief["setpoint"])[0] < 0.02
+    back = after(world, belief, command(start, WIDEST_M, 0.4), 80)
+    assert pose_error(gripper_at(back["joints"]), start)[0] < 0.002
 
 
 def test_without_a_command_the_arm_stays() -> None:
