@@ -1,7 +1,7 @@
 """How often the arm of the tower deployment builds what is asked for: scene by scene, also while somebody interferes.
 
     python benchmarks/tower.py                              # scenes 0 to 19, a tower of four cubes; half an hour
-    python benchmarks/tower.py --scenes 3:5 --command launch
+    python benchmarks/tower.py --scenes 3:5 --launch
     python benchmarks/tower.py --builder reactive,planner --jobs 2
     python benchmarks/tower.py --person knock,take          # a cell of 20 scenes each; knock+take: both in each scene
     python benchmarks/tower.py --person every --launched 5  # all eight, one cell each, five scenes of it launched, too
@@ -19,6 +19,7 @@ another digest than the run.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import statistics
 import sys
@@ -33,9 +34,11 @@ from hierax.nodes.tower.builder import REACTIVE
 from hierax.nodes.tower.interferences import ACTS
 from hierax.nodes.tower.world import NONE
 
+ROOT = Path(__file__).resolve().parents[1]
 EVERY = "every"
 RUN, LAUNCH = "run", "launch"
 HEADS = (("scene", 5), ("done", 5), ("placed, mm", 11), ("moves", 6), ("least", 6), ("acts", 5), ("frames", 7))
+OWN = ("builder", "person", "scene")  # what has an option of its own
 
 
 @dataclass(frozen=True)
@@ -72,64 +75,119 @@ class Row:
 
 
 class Kept:
-    """Rows of a file, one JSON object a line, to which new ones are added; of no file there are none."""
+    """Rows of a file, one JSON object a line, to which new ones are added; of no file there are none.
+
+    A row belongs to the sources of the nodes that it was made by; those of others are left alone. Raises `SystemExit`
+    where the file has something else in it, or cannot be written."""
 
     def __init__(self, path: Path | None) -> None:
-        self._path = path
-        there = path is not None and path.exists()
-        lines = path.read_text().splitlines() if path is not None and there else []
-        self._rows = [Row(**json.loads(line)) for line in lines]
+        self._path, self._sources = path, _sources()
+        self._rows: dict[str, Row] = {}
+        if path is None:
+            return
+        try:
+            with path.open("a+") as file:
+                file.seek(0)
+                lines = file.readlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise SystemExit(f"--keep {path}: it cannot be read and written: {error}") from error
+        for number, line in enumerate(lines, start=1):
+            try:
+                if not line.endswith("\n"):
+                    raise ValueError("it is cut off")
+                content = json.loads(line)
+                made_by, row = content.pop("sources"), Row(**content)
+            except (ValueError, TypeError, KeyError, AttributeError) as error:
+                what = "expected a row that this program has written"
+                raise SystemExit(f"--keep {path}: line {number}: {what}: {error}") from error
+            if made_by == self._sources:
+                self._rows[_key(row.command, row.set_to)] = row
 
     def row(self, command: str, set_to: dict[str, str]) -> Row:
         """What a scene came to: as it is kept, or by running it."""
-        for row in self._rows:
-            if (row.command, row.set_to) == (command, set_to):
-                return row
-        row = _row(command, set_to)
-        if self._path is not None:
-            with self._path.open("a") as file:
-                file.write(json.dumps(asdict(row)) + "\n")
-        return row
+        key = _key(command, set_to)
+        if key not in self._rows:
+            row = self._rows[key] = _row(command, set_to)
+            if self._path is not None:
+                with self._path.open("a") as file:
+                    file.write(json.dumps({**asdict(row), "sources": self._sources}) + "\n")
+        return self._rows[key]
 
 
-def main() -> int:
+def _key(command: str, set_to: dict[str, str]) -> str:
+    return json.dumps([command, set_to], sort_keys=True)
+
+
+def _sources() -> str:
+    """A digest of the nodes and of the deployment: figures of others are not those of these."""
+    files = [*sorted((ROOT / "nodes").rglob("*.py")), ROOT / "deploy" / "tower.yaml"]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+def main(arguments: list[str] | None = None) -> int:
     """Run the cells, print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", default="0:20", help="from one to below another one")
-    parser.add_argument("--command", choices=(RUN, LAUNCH), default=RUN, help="in one process, or one for each node")
-    parser.add_argument("--launched", type=int, default=0, help="so many of each cell's scenes are launched, too")
-    parser.add_argument("--jobs", type=int, default=1, help="so many scenes at a time")
-    parser.add_argument("--builder", default=REACTIVE, help="one, or several separated by commas")
-    parser.add_argument("--person", default=NONE, help=f"likewise: {NONE}, {', '.join(ACTS)}, {EVERY}, {RANDOM}")
-    parser.add_argument("--without", choices=sorted(CONTEXTS), help="no context from there down")
-    parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="as hierax run has it")
-    parser.add_argument("--keep", type=Path, metavar="FILE", help="add rows to it, and take those that are there")
-    options = parser.parse_args()
-    given = dict(each.split("=", 1) for each in options.set)
+    options, given, scenes = _read(arguments)
     persons = [each for person in options.person.split(",") for each in (ACTS if person == EVERY else (person,))]
     kept, good = Kept(options.keep), True
     for builder in options.builder.split(","):
         for person in persons:
             print(f"\nbuilder {builder}, person {person}")
-            scenes = range(*map(int, options.scenes.split(":")))
             cell = {**given, "builder": builder, "person": person}
             good &= _cell([settings(cell, scene, options.without) for scene in scenes], kept, options)
     return int(not good)
 
 
+def _read(arguments: list[str] | None) -> tuple[argparse.Namespace, dict[str, str], range]:
+    """The options, what is set, and which scenes are run."""
+    how = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=how, allow_abbrev=False)
+    parser.add_argument("--scenes", default="0:20", help="from one to below another one")
+    parser.add_argument("--launch", action="store_true", help="each node in a process of its own")
+    parser.add_argument("--launched", type=int, default=0, help="so many of a cell's scenes are launched after it, too")
+    parser.add_argument("--jobs", type=int, default=1, help="so many scenes at a time; those launched too, one by one")
+    parser.add_argument("--builder", default=REACTIVE, help="one, or several separated by commas")
+    parser.add_argument("--person", default=NONE, help=f"likewise: {NONE}, {', '.join(ACTS)}, {EVERY}, {RANDOM}")
+    parser.add_argument("--without", choices=sorted(CONTEXTS), help="no context from there down")
+    parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="as hierax run has it")
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="add rows to it, and take those that are there")
+    options = parser.parse_args(arguments)
+    try:
+        scenes = range(*map(int, options.scenes.split(":", maxsplit=1)))
+    except ValueError:
+        scenes = range(0)
+    if not scenes:
+        parser.error(f"--scenes {options.scenes}: expected the first scene and one above the last, such as 0:20")
+    if options.jobs < 1 or options.launched < 0:
+        parser.error("--jobs: expected 1 or more, and --launched 0 or more")
+    if options.launch and options.launched:
+        parser.error("--launched compares launches with runs; --launch makes no runs")
+    given: dict[str, str] = {}
+    for each in options.set:
+        path, equals, value = each.partition("=")
+        if not equals or path in OWN:
+            parser.error(f"--set {each}: expected PATH=VALUE, and for {', '.join(OWN)} the option of that name")
+        given[path] = value
+    return options, given, scenes
+
+
 def _cell(scenes: list[dict[str, str]], kept: Kept, options: argparse.Namespace) -> bool:
     """Run the scenes of one cell, print a row of each and what they come to; whether all is as it should be."""
-    print(*(f"{head:>{width}}" for head, width in (*HEADS, ("epochs/s", 9))), " digest", flush=True)
+    print(*(f"{head:>{width}}" for head, width in (*HEADS, ("epochs/s", 9))), " digest", " person", flush=True)
     rows = []
     with ThreadPoolExecutor(options.jobs) as pool:
-        for row in pool.map(lambda set_to: kept.row(options.command, set_to), scenes):
+        for row in pool.map(lambda set_to: kept.row(LAUNCH if options.launch else RUN, set_to), scenes):
             print(row.told(), flush=True)
             rows.append(row)
     print(_summed_up(rows), flush=True)
-    equal = [kept.row(LAUNCH, row.set_to).digest == row.digest for row in rows[: options.launched]]
-    if equal:
-        print(f"{sum(equal)} of {len(equal)} launched with the digest of the run", flush=True)
-    return all(equal) and all(row.done for row in rows)
+    alike = [_is_launched_alike(row, kept) for row in rows[: options.launched]]  # each is told
+    return all(alike) and all(row.done for row in rows)
+
+
+def _is_launched_alike(run: Row, kept: Kept) -> bool:
+    launched = kept.row(LAUNCH, run.set_to)
+    alike = launched.digest == run.digest
+    print(launched.told(), "launched,", "equal" if alike else "OTHER DIGEST", flush=True)
+    return alike
 
 
 def _summed_up(rows: list[Row]) -> str:
