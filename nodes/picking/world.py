@@ -40,8 +40,9 @@ _TRUTH = 3
 class PickWorld(CommandedNode, World):
     """An arm with a camera in its hand, over a table with cubes.
 
-    The arm's controller moves the gripper on a straight line to where it is commanded, speeding up and slowing down;
-    joints are position controlled, fingers have a bounded force. Nothing but friction holds a cube.
+    The arm's controller moves the gripper on a straight line to where it is commanded, speeding up and slowing down, or
+    by its joints, where that leads through the end of its wrist; joints are position controlled, fingers have a bounded
+    force. Nothing but friction holds a cube.
 
     The belief: ``frame``, ``time_s``, the arm (``joints`` (7,), ``speeds`` (7,), ``fingers`` (2,), ``finger_speeds``
     (2,); rad, m, s), its controller (``targets`` (7,), rad; ``setpoint``, world_from_gripper; ``pace``, m/s), the

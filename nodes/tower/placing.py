@@ -80,7 +80,7 @@ def at_height(gripper: Floats, height_m: float) -> Floats:
 
 
 def _wrist(held: Body, box_from_gripper: Floats) -> float:
-    """The angle of the last joint where the hand holds a box now, rad."""
+    """The angle of the last joint, rad, by which the hand is where it holds a box now, come there from home."""
     return float(joints_for(held["pose"] @ box_from_gripper, HOME_RAD)[0][-1])
 
 
