@@ -58,7 +58,7 @@ def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int], tried: 
             if not clear(pose, grasp.width_m + OPENING_M, boxes, clearance_m):
                 continue
             if index not in reached:
-                reached[index] = _reachable(pose)
+                reached[index] = joints_at(pose) is not None
             if reached[index]:
                 return grasp
     return None
@@ -144,9 +144,13 @@ def _candidates(body: Mapping[str, Any]) -> list[tuple[float, Grasp, Floats]]:
     return found
 
 
-def _reachable(gripper: Floats) -> bool:
+def joints_at(gripper: Floats) -> Floats | None:
+    """Joint angles (7,) with which the arm comes to a gripper's pose by the one before it; None: it does not."""
     joints, off = joints_for(before(gripper), HOME_RAD)
-    return off < _REACHED and joints_for(gripper, joints)[1] < _REACHED
+    if off >= _REACHED:
+        return None
+    joints, off = joints_for(gripper, joints)
+    return joints if off < _REACHED else None
 
 
 def _hand(width_m: float) -> Boxes:

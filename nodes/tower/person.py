@@ -20,7 +20,7 @@ _LATE_S = 2.0  # a stop that is not reached is given up so long after it should 
 _REACHED_M = 0.004
 _TURN_RAD_S = 2.0
 _MISSES_M = 0.02  # what is farther from the palm is not gripped
-_LEASH_M = 0.04  # no farther ahead a hand is drawn: one that comes free flings nothing away
+_LEASH_M = 0.04  # a hand that is farther behind is drawn as if it were so far: one that comes free flings nothing away
 _PERSON = 5  # of the numbers that are drawn
 
 SKIN, SLEEVE = (222, 170, 136), (58, 70, 96)

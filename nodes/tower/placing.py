@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.panda import HOME_RAD, joints_for
-from hierax.nodes.picking.planning import CLEARANCES_M, OPENING_M, Boxes, before, clear
+from hierax.nodes.picking.planning import CLEARANCES_M, OPENING_M, Boxes, clear, joints_at
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 
 Body = Mapping[str, Any]
@@ -15,7 +15,6 @@ GAP_M = 0.001  # so far above what it will stand on, a cube is let go
 # Between the circles around cubes on the table, so that a hand gets between them; less where there is no such place.
 ROOMS_M = (0.035, 0.02, 0.005)
 _LOW, _HIGH, _STEP_M = (0.38, -0.20), (0.62, 0.20), 0.02  # of the table, what the arm reaches and the camera sees
-_REACHED = 1e-3
 _QUARTERS = (0.0, np.pi / 2, -np.pi / 2, np.pi)
 
 
@@ -93,11 +92,8 @@ def _fits(gripper: Floats, others: Sequence[Body], width_m: float, wrist: float)
         np.array([pose[:3, :3] for pose in poses]).reshape(-1, 3, 3),
         np.array([body["size"] for body in others]).reshape(-1, 3) / 2,
     )
-    joints, off = joints_for(before(gripper), HOME_RAD)
-    if off > _REACHED:
-        return None
-    joints, off = joints_for(gripper, joints)
-    if off > _REACHED or abs(joints[-1] - wrist) > np.pi:
+    joints = joints_at(gripper)
+    if joints is None or abs(joints[-1] - wrist) > np.pi:
         return None
     return gripper if clear(gripper, width_m + OPENING_M, boxes, CLEARANCES_M[-1]) else None
 
