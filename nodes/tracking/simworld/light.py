@@ -109,15 +109,19 @@ def _fill(mask: Array, polygon: Sequence[tuple[float, float]]) -> None:
         return
     sides = [(x, y, p - x, q - y) for (x, y), (p, q) in zip(polygon, (*polygon[1:], polygon[0]), strict=True)]
     winding = copysign(1.0, sum(x * dy - y * dx for x, y, dx, dy in sides))
-    u, v = (np.arange(low, high, dtype=np.float32) for low, high in ((left, right), (top, bottom)))
-    inside = np.ones((len(v), len(u)), np.float32)
-    across = np.empty_like(inside)
+    within = []  # by side, how far inside of it a pixel is: a constant, less a share of the column, plus one of the row
     for x, y, dx, dy in sides:
         length = winding * hypot(dx, dy)
         if abs(length) > 1e-6:
             dx, dy = dx / length, dy / length
-            np.add(((x * dy - y * dx + 0.5) - np.float32(dy) * u)[None, :], (np.float32(dx) * v)[:, None], out=across)
-            np.minimum(inside, across, out=inside)
+            within.append((x * dy - y * dx + 0.5, dy, dx))
+    if not within:
+        return
+    constant, by_column, by_row = np.array(within, np.float32).T[:, :, None]
+    along = constant - by_column * np.arange(left, right, dtype=np.float32)
+    down = by_row * np.arange(top, bottom, dtype=np.float32)
+    inside = np.minimum.reduce(along[:, None, :] + down[:, :, None], axis=0)
+    np.minimum(inside, np.float32(1.0), out=inside)
     window = mask[top:bottom, left:right]
     np.maximum(window, inside, out=window)
 

@@ -5,6 +5,7 @@ light that their smoothed normals have of it: shadows do not fall on them, but t
 
 from collections.abc import Sequence
 from functools import lru_cache
+from math import prod
 from typing import NamedTuple
 
 import cv2
@@ -57,8 +58,16 @@ def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator
     if blur_px > 0.0:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
     image = cv2.pow(np.clip(image, 0.0, 1.0), 1.0 / GAMMA)
-    grain = np.take(_normal(), rng.integers(0, QUANTILES, image.shape, np.uint16)) if noise > 0.0 else image
+    grain = np.take(_normal(), drawn_quantiles(rng, image.shape)) if noise > 0.0 else image
     return np.asarray(cv2.addWeighted(image, 255.0, grain, noise, 0.0, dtype=cv2.CV_8U))
+
+
+def drawn_quantiles(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Numbers below `QUANTILES`, all equally probable, uint16: those that `rng.integers` draws of a fresh 64-bit
+    generator, in less than half of the time."""
+    count = prod(shape)
+    drawn = np.asarray(rng.bit_generator.random_raw(-(-count // 4)), "<u8")  # one number by four, the lowest first
+    return np.asarray(drawn.view("<u2")[:count].reshape(shape))
 
 
 @lru_cache(maxsize=1)

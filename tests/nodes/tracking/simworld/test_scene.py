@@ -11,7 +11,7 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, 
 from hierax.nodes.tracking.simworld import light as sim_light
 from hierax.nodes.tracking.simworld import scene as sim_scene
 from hierax.nodes.tracking.simworld.light import LAMP, Lamp, shaded, shadows
-from hierax.nodes.tracking.simworld.scene import FACE_PX, GAMMA, develop, draw
+from hierax.nodes.tracking.simworld.scene import FACE_PX, GAMMA, QUANTILES, develop, draw, drawn_quantiles
 from hierax.nodes.tracking.simworld.shapes import Face, Thing, cube
 from hierax.nodes.tracking.simworld.world import camera_at
 
@@ -127,6 +127,12 @@ def test_a_scene_out_of_sight_is_the_table_alone() -> None:
     away = [CUBES[0]._replace(pose=make_pose(np.eye(3), np.array([5.0, 5.0, 0.04])))]
     camera = camera_at(0.0)
     np.testing.assert_array_equal(draw(away, camera, INTRINSICS, SIZE), draw([], camera, INTRINSICS, SIZE))
+
+
+@pytest.mark.parametrize("shape", [(1,), (7, 5), (12, 16, 3)])
+def test_noise_is_drawn_as_the_generator_draws_whole_numbers(shape: tuple[int, ...]) -> None:
+    drawn = np.random.default_rng(3).integers(0, QUANTILES, shape, np.uint16)
+    np.testing.assert_array_equal(drawn_quantiles(np.random.default_rng(3), shape), drawn)
 
 
 def test_the_sensor_adds_noise_of_the_given_size() -> None:
