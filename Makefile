@@ -64,7 +64,7 @@ format: $(INSTALLED)
 # those tests that could go on for ever, with more examples than in the suite (tests/support/sweep.py)
 sweep: $(INSTALLED)
 	HIERAX_SWEEP=1 $(BIN)/python -m pytest --numprocesses 2 tests/model tests/schemas/test_hostile_bytes.py \
-		tests/runtime/engine tests/runtime/sim tests/runtime/launch
+		tests/runtime/core tests/runtime/deployment tests/runtime/engine tests/runtime/sim tests/runtime/launch
 
 # docs/model.md; Debian's spin is installed where it is missing, if root may
 model: $(INSTALLED)

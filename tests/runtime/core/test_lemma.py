@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.hierarchies import Mix, MixingNode, MixingWorld, random_hierarchy, random_order
 from support.strategies import hierarchies, randoms
+from support.sweep import examples
 
 from hierax.runtime import Elements, Value
 from hierax.runtime.core.binding import OperatorSetting
@@ -18,7 +19,7 @@ from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.schemas.values import encode_value
 
 EPOCHS = 3
-patient = settings(max_examples=100)
+patient = settings(max_examples=examples(40, 400))
 
 
 def states(active: ActiveHierarchy) -> bytes:

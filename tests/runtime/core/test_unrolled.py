@@ -88,7 +88,7 @@ def check(seed: int) -> None:
             assert now.digests.get(name, NO_DIGEST) == direct.digest(name, epoch), (name, epoch)
 
 
-@settings(max_examples=examples(60, 1000), deadline=None)
+@settings(max_examples=examples(30, 1000), deadline=None)
 @given(st.integers(0, 2**32))
 def test_what_counts_when_rosters_change_is_what_the_direct_implementation_says(seed: int) -> None:
     check(seed)

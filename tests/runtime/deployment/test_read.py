@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.deployments import TOYS, line_of, replaced, write
+from support.sweep import examples
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import DeploymentError
@@ -463,7 +464,7 @@ def mutated(seed: int) -> str:
     return "\n".join(lines)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(100, 1000))
 @given(
     seed=st.integers(0, 1 << 32), overrides=st.lists(st.sampled_from(["step=1", "epochs=2", "nodes.left.class=a:b"]))
 )
@@ -509,7 +510,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(100, 1000))
 @given(changes=st.lists(st.tuples(st.sampled_from(PATHS), VALUES), min_size=1, max_size=3))
 def test_any_value_anywhere_is_taken_or_refused(tmp_path: Path, changes: list[tuple[str, object]]) -> None:
     overrides = [f"{path}={json.dumps(value)}" for path, value in changes]

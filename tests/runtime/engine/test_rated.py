@@ -47,7 +47,7 @@ def commits_of(direct: Direct, world: str) -> dict[int, bytes]:
     return {epoch: direct.digest(world, epoch) for epoch in range(1, EPOCHS + 1)}
 
 
-@settings(max_examples=examples(60, 600))
+@settings(max_examples=examples(30, 600))
 @given(seeds, seeds, seeds, st.booleans())
 def test_any_order_of_delivery_gives_what_the_direct_implementation_gives(
     one: int, two: int, order: int, drains: bool
@@ -59,7 +59,7 @@ def test_any_order_of_delivery_gives_what_the_direct_implementation_gives(
     check_as_direct(network, Direct(hierarchy, rates), hierarchy.world)
 
 
-@settings(max_examples=examples(150, 5000))
+@settings(max_examples=examples(60, 5000))
 @given(seeds, seeds, seeds, st.sampled_from((0.005, 0.02, 0.05)), st.booleans())
 def test_processes_that_die_change_nothing(one: int, two: int, order: int, killing: float, drains: bool) -> None:
     hierarchy = random_hierarchy(one, setting=OperatorSetting(seed=order))
@@ -84,7 +84,7 @@ def test_nobody_is_told_of_an_epoch_that_nobody_needs(seed: int) -> None:
         assert told[lower, upper] == needed
 
 
-@settings(max_examples=examples(60, 600))
+@settings(max_examples=examples(30, 600))
 @given(seeds, seeds, st.integers(0, 2**32).map(random.Random))
 def test_any_order_of_the_formal_update_gives_the_same(one: int, two: int, rng: random.Random) -> None:
     hierarchy = random_hierarchy(one)
