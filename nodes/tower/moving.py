@@ -31,7 +31,7 @@ from hierax.nodes.picking.phases import (
 )
 from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
-from hierax.nodes.tower.reaching import Reach, reach
+from hierax.nodes.tower.reaching import Goal, Reach, reach
 from hierax.nodes.tower.rules import TABLE
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.schema import LOST
@@ -63,8 +63,23 @@ def watching(belief: Value, time_s: float) -> Value:
     return entered({**belief, **dict.fromkeys(OF_A_MOVE), "view": 0}, WATCH, time_s)
 
 
+def is_making_room(belief: Value) -> bool:
+    """Whether a cube is to come to a free place of the table before anything else that is asked for, as no hand got at
+    it where it stands."""
+    return belief["refused"] is not None and bool(belief["refused"][1] == TABLE)
+
+
+def is_aside(belief: Value) -> bool:
+    """Whether what is moved is in the way of what was asked for."""
+    return belief["refused"] is not None and bool(belief["refused"][0] != belief["target"])
+
+
 def _others(belief: Value) -> list[Mapping[str, Any]]:
     return [body for body in belief["bodies"] if body["id"] != belief["target"]]
+
+
+def _known(belief: Value) -> list[Mapping[str, Any]]:
+    return [body for body in belief["bodies"] if body["status"] != LOST]
 
 
 def _body(belief: Value, number: int) -> Mapping[str, Any]:
@@ -97,10 +112,14 @@ def _after_watch(belief: Value, time_s: float) -> Value:
     belief = steadied(belief, has_reached(belief, VIEWS[belief["view"]]), time_s)
     if belief["put"] is not None and _is_lost(belief, belief["put"]):
         belief = {**belief, "put": None}  # it is looked for everywhere
-    if belief["goal"] is not None and is_steady(belief, time_s, LOOK_S) and not _is_lost(belief, belief["goal"][1]):
-        found = reach(belief["bodies"], belief["goal"], belief["tried"])
+    goal = belief["refused"] if is_making_room(belief) else belief["goal"]
+    if goal is not None and is_steady(belief, time_s, LOOK_S) and not _is_lost(belief, goal[1]):
+        found = reach(belief["bodies"], goal, belief["tried"])
+        if found is None and belief["view"] > 0:  # what is lost is not where it was, as seen from home
+            found = reach(_known(belief), goal, belief["tried"])
         if found is not None:
-            return entered(aimed(_begun(belief, found)), OVER, time_s)
+            return entered(aimed(_begun(belief, goal, found)), OVER, time_s)
+        belief = {**belief, "refused": None}
     if not is_steady(belief, time_s, VIEW_S):
         return belief
     searches = belief["goal"] is not None or any(body["status"] == LOST for body in belief["bodies"])
@@ -108,11 +127,11 @@ def _after_watch(belief: Value, time_s: float) -> Value:
     return belief if view == belief["view"] else {**belief, "view": view, "steady_s": None}
 
 
-def _begun(belief: Value, reached: Reach) -> Value:
-    """The belief in which a move begins: the one that was asked for, or one that makes room for it."""
+def _begun(belief: Value, goal: Goal, reached: Reach) -> Value:
+    """The belief in which a move begins: that of the goal, or one that makes room for it."""
     number, box_from_gripper, width_m = reached.grasp
     grasp = {"target": number, "box_from_gripper": box_from_gripper, "box_width": width_m}
-    refused = None if reached.goal == belief["goal"] else belief["goal"]
+    refused = goal if is_making_room(belief) or reached.goal != goal else None
     moves = belief["moves"] + 1
     return {**belief, **grasp, "goal": reached.goal, "refused": refused, "moves": moves, "put": None}
 
@@ -196,6 +215,8 @@ def _place(belief: Value) -> Floats | None:
     if place is not None and not _is_seen(belief):
         return cast(Floats, place)
     found = place_on(held, _body(belief, onto), belief["bodies"], holds, belief["box_width"])
+    if found is None:
+        found = place_on(held, _body(belief, onto), _known(belief), holds, belief["box_width"])
     turned = place is None or found is None or float((found[:3, :3] * place[:3, :3]).sum()) < _ALIKE
     return found if place is None or not turned else cast(Floats, place)
 
@@ -217,8 +238,13 @@ def _after_open(belief: Value, time_s: float) -> Value:
 
 
 def _after_retreat(belief: Value, time_s: float) -> Value:
-    """Open and up, and then home to have another look."""
-    return watching(belief, time_s) if has_reached(belief, up(belief)) or is_late(belief, time_s) else belief
+    """Open and up, and then home to have another look. If a cube was moved aside for another one, that is next, unless
+    it is asked for anyhow: of a tower that was in its way, the builder would have the upper cubes put back first."""
+    if not has_reached(belief, up(belief)) and not is_late(belief, time_s):
+        return belief
+    refused, asked = belief["refused"], belief["asked"]
+    is_waiting = is_aside(belief) and asked not in (None, refused)
+    return {**watching(belief, time_s), "refused": (refused[0], TABLE) if is_waiting else None}
 
 
 AFTER = {

@@ -10,7 +10,7 @@ from hierax.nodes.picking.planning import Grasp, choose
 from hierax.nodes.tower.rules import TABLE
 from hierax.nodes.tracking.math.geometry import Floats
 
-_NEAR_M = 0.12  # so near, from middle to middle, a cube may be in the way of the hand that takes another one
+_NEAR_M = 0.12  # so near, as seen from above, a cube may be in the way of the hand that takes another one
 
 Goal = tuple[int, int]
 """A cube, and what it is to be moved onto."""
@@ -36,11 +36,10 @@ def reach(bodies: Sequence[Mapping[str, Any]], goal: Goal, tried: Sequence[tuple
     grasp = choose(bodies, [number], failed) or (choose(bodies, [number]) if failed else None)
     if grasp is not None:
         return Reach(grasp, goal)
-    middle = sure[number]["pose"][:3, 3]
-    away_m = {other: float(np.linalg.norm(body["pose"][:3, 3] - middle)) for other, body in sure.items()}
-    near = [other for other in sure if other != number and away_m[other] < _NEAR_M]
+    away = {other: body["pose"][:3, 3] - sure[number]["pose"][:3, 3] for other, body in sure.items()}
+    near = [other for other in sure if other != number and float(np.linalg.norm(away[other][:2])) < _NEAR_M]
     # What it comes onto stays if it can; one that makes room by itself is better than one of several.
-    near.sort(key=lambda other: (not _is_free(bodies, number, other), other == onto, away_m[other]))
+    near.sort(key=lambda other: (not _is_free(bodies, number, other), other == onto, np.linalg.norm(away[other])))
     grasps = ((other, choose(bodies, [other])) for other in near)
     return next((Reach(grasp, (other, TABLE)) for other, grasp in grasps if grasp is not None), None)
 

@@ -13,7 +13,21 @@ from hierax.nodes.picking.panda import WIDEST_M
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
 from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.display import skill_things
-from hierax.nodes.tower.moving import AFTER, CARRY, LOWER, OF_A_MOVE, OPEN, OVER, VIEWS, lifted, over, up, watching
+from hierax.nodes.tower.moving import (
+    AFTER,
+    CARRY,
+    LOWER,
+    OF_A_MOVE,
+    OPEN,
+    OVER,
+    VIEWS,
+    is_aside,
+    is_making_room,
+    lifted,
+    over,
+    up,
+    watching,
+)
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.schema import TRACKED
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
@@ -64,10 +78,11 @@ class SkillsNode(Node):
     ``asked`` (what was asked for last), ``view`` (from which of `VIEWS` it watches), ``place`` (world_from_gripper
     where the cube is put down; None before that is known), ``sighted_s`` (when it was last seen, while the cube is
     carried, what that comes onto; None: never), ``refused`` (what is asked for and cannot be done with the cube in the
-    hand, or before the one that is moved in its place is out of the way), ``width`` (of the gripper, when it was last
-    looked at), ``put`` (the cube that the hand has put down last, until it begins to move the next one, or that one is
-    lost; None: none), ``tried`` (to which ways to take cubes the hand did not come, pairs of an id and a
-    box_from_gripper, the last few), ``stands`` (cubes of which the builder says so) and ``moves``, how many have begun.
+    hand, or before the one that is moved in its place is out of the way; onto the table: what is done before anything
+    else), ``width`` (of the gripper, when it was last looked at), ``put`` (the cube that the hand has put down last,
+    until it begins to move the next one, or that one is lost; None: none), ``tried`` (to which ways to take cubes the
+    hand did not come, pairs of an id and a box_from_gripper, the last few), ``stands`` (cubes of which the builder says
+    so) and ``moves``, how many have begun.
 
     Args: once: the cubes are where they were when the first move began, or where the hand has put them since, whatever
         is seen. For comparison."""
@@ -163,12 +178,13 @@ def _held(belief: Value) -> int | None:
 def _with_goal(belief: Value, time_s: float) -> Value:
     """The belief with what is asked for, where that may change now."""
     asked = belief["asked"]
-    if asked == belief["goal"] or (asked is not None and asked == belief["refused"]):
+    waits = asked is not None and (asked == belief["refused"] or is_making_room(belief))
+    if asked == belief["goal"] or waits:
         return belief
     if belief["phase"] in _FREE:
         return watching({**belief, "goal": asked}, time_s)
     carried = belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]
-    if carried:
+    if carried and not is_aside(belief):
         return {**belief, "goal": asked, "place": None, "sighted_s": None}
     return belief
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from hierax.nodes.picking.panda import HOME_GRIPPER
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
 from hierax.nodes.tower.moving import CARRY, LOWER, MOST_TRIED, OPEN, OVER, VIEW_S, VIEWS
 from hierax.nodes.tower.skills import REST, SkillsNode, gripper_commands, held_and_standing, scene_and_skill
-from hierax.nodes.tracking.math.geometry import invert, make_pose
+from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose
 from hierax.runtime import Tick
 
 SIDE_M = 0.045
@@ -253,6 +254,51 @@ def test_what_is_in_the_way_is_moved_aside_first(near: list[tuple[float, float]]
             world.until(WATCH, (2, 1))
     assert 1 <= world.belief["moves"] - 1 < len(near)
     world.until(OPEN, (2, 1))
+    np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[1][:2, 3], atol=0.0015)
+
+
+def wish_for(tower: tuple[int, ...], world: Obedient) -> tuple[int, int] | None:
+    """What a builder that knows no reach asks for: the next cube, onto those that stand."""
+    for lower, upper in pairwise(tower):
+        if np.linalg.norm(world.poses[upper][:3, 3] - world.poses[lower][:3, 3] - [0.0, 0.0, SIDE_M]) > 0.005:
+            return upper, lower
+    return None
+
+
+@pytest.mark.parametrize(
+    ("tower", "beside", "yaw_deg", "aside"),
+    [((0.5, 0.0), (0.566, 0.0), 30.0, [(4, 0)]), ((0.45, 0.05), (0.393, 0.083), 0.0, [(4, 0), (3, 0)])],
+)
+def test_a_cube_that_a_tower_keeps_the_hand_from_is_set_free_before_that_is_built_again(
+    tower: tuple[float, float], beside: tuple[float, float], yaw_deg: float, aside: list[tuple[int, int]]
+) -> None:
+    world, order = Obedient(), (1, 3, 4, 2)
+    for level, number in enumerate(order[:-1]):
+        world.poses[number] = make_pose(np.eye(3), np.array([*tower, SIDE_M * (level + 0.5)]))
+    turned = exp_so3(np.array([0.0, 0.0, np.radians(yaw_deg)]))
+    world.poses[2] = make_pose(turned, np.array([*beside, SIDE_M / 2]))
+    goals: list[tuple[int, int]] = []
+    for _ in range(2000):
+        wish = wish_for(order, world)
+        if wish is None and world.belief["phase"] == WATCH:
+            break
+        world.epoch(wish)
+        if world.belief["phase"] == LIFT and goals[-1:] != [world.belief["goal"]]:
+            goals.append(world.belief["goal"])
+    again = [(number, lower) for lower, number in pairwise(order) if (number, 0) in aside]
+    assert goals == [*aside, (2, 0), *again, (2, 4)]
+    assert wish_for(order, world) is None
+
+
+def test_where_a_lost_cube_was_it_keeps_nobody_off_once_the_arm_has_looked_elsewhere() -> None:
+    world = Obedient()
+    world.poses[3] = make_pose(np.eye(3), world.poses[2][:3, 3] + [0.035, 0.0, 0.0])  # it is not there any more
+    world.statuses[3] = "lost"
+    for _ in range(round(VIEW_S / 0.05)):
+        world.epoch((2, 1))
+    assert world.phases == [WATCH]
+    world.until(OPEN, (2, 1), 400)
+    assert world.phases[:2] == [WATCH, OVER]
     np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[1][:2, 3], atol=0.0015)
 
 
