@@ -121,7 +121,8 @@ def _skill(belief: Value, time_s: float) -> str:
     if asked != goal:
         lines.append("asked for: " + ("nothing" if asked is None else _move(*asked)))
     if belief["refused"] is not None:
-        lines.append(f"given up: {_move(*belief['refused'])}")
+        given_up = belief["refused"][0] == belief["target"]
+        lines.append(f"{'given up' if given_up else 'to make room for'}: {_move(*belief['refused'])}")
     if belief["hand"] is not None:
         lines.append(f"{1000.0 * belief['hand']['width']:.0f} mm between the fingers")
     return "\n\n".join((*lines, f"moves begun: {belief['moves']}"))

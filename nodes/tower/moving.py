@@ -31,7 +31,7 @@ from hierax.nodes.picking.phases import (
 )
 from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
-from hierax.nodes.tower.reaching import Goal, Reach, reach
+from hierax.nodes.tower.reaching import Reach, reach
 from hierax.nodes.tower.rules import TABLE
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.schema import LOST
@@ -47,7 +47,7 @@ SIGHTED_S = 3.0  # so long what a cube comes onto is where it was seen last, whi
 
 MOST_TRIED = 8  # so many ways to take cubes that failed are remembered
 
-OF_A_MOVE = ("target", "box_from_gripper", "box_width", "gripper", "place", "sighted_s", "refused")
+OF_A_MOVE = ("target", "box_from_gripper", "box_width", "gripper", "place", "sighted_s", "refused", "frees")
 
 VIEW_S = 4.0  # so long the camera looks from one side for what is lost
 VIEWS = (
@@ -63,13 +63,7 @@ def watching(belief: Value, time_s: float) -> Value:
     return entered({**belief, **dict.fromkeys(OF_A_MOVE), "view": 0}, WATCH, time_s)
 
 
-def is_making_room(belief: Value) -> bool:
-    """Whether a cube is to come to a free place of the table before anything else that is asked for, as no hand got at
-    it where it stands."""
-    return belief["refused"] is not None and bool(belief["refused"][1] == TABLE)
-
-
-def is_aside(belief: Value) -> bool:
+def moves_aside(belief: Value) -> bool:
     """Whether what is moved is in the way of what was asked for."""
     return belief["refused"] is not None and bool(belief["refused"][0] != belief["target"])
 
@@ -112,28 +106,38 @@ def _after_watch(belief: Value, time_s: float) -> Value:
     belief = steadied(belief, has_reached(belief, VIEWS[belief["view"]]), time_s)
     if belief["put"] is not None and _is_lost(belief, belief["put"]):
         belief = {**belief, "put": None}  # it is looked for everywhere
-    goal = belief["refused"] if is_making_room(belief) else belief["goal"]
-    if goal is not None and is_steady(belief, time_s, LOOK_S) and not _is_lost(belief, goal[1]):
-        found = reach(belief["bodies"], goal, belief["tried"])
-        if found is None and belief["view"] > 0:  # what is lost is not where it was, as seen from home
-            found = reach(_known(belief), goal, belief["tried"])
+    if belief["goal"] is not None and is_steady(belief, time_s, LOOK_S) and not _is_lost(belief, belief["goal"][1]):
+        found = _reached(belief)
         if found is not None:
-            return entered(aimed(_begun(belief, goal, found)), OVER, time_s)
-        belief = {**belief, "refused": None}
+            return entered(aimed(_begun(belief, found)), OVER, time_s)
     if not is_steady(belief, time_s, VIEW_S):
         return belief
     searches = belief["goal"] is not None or any(body["status"] == LOST for body in belief["bodies"])
     view = (belief["view"] + 1) % len(VIEWS) if searches else 0
+    if view == 0:  # looked from everywhere
+        belief = {**belief, "frees": None, "cleared": ()}
     return belief if view == belief["view"] else {**belief, "view": view, "steady_s": None}
 
 
-def _begun(belief: Value, goal: Goal, reached: Reach) -> Value:
-    """The belief in which a move begins: that of the goal, or one that makes room for it."""
+def _reached(belief: Value) -> Reach | None:
+    """How what is to be done is begun; where something is lost, it may be where it was as long as the camera has only
+    looked from home."""
+    known = _known(belief)
+    cleared = [other for number, other in belief["cleared"] if number == belief["goal"][0]]
+    found = reach(belief["bodies"], belief["goal"], belief["tried"], cleared)
+    if found is not None or belief["view"] == 0 or len(known) == len(belief["bodies"]):
+        return found
+    return reach(known, belief["goal"], belief["tried"], cleared)
+
+
+def _begun(belief: Value, reached: Reach) -> Value:
+    """The belief in which a move begins: the one that was asked for, or one that makes room for it."""
     number, box_from_gripper, width_m = reached.grasp
     grasp = {"target": number, "box_from_gripper": box_from_gripper, "box_width": width_m}
-    refused = goal if is_making_room(belief) or reached.goal != goal else None
-    moves = belief["moves"] + 1
-    return {**belief, **grasp, "goal": reached.goal, "refused": refused, "moves": moves, "put": None}
+    wanted, moves = belief["goal"], belief["moves"] + 1
+    if reached.goal == wanted:
+        return {**belief, **grasp, "refused": None, "cleared": (), "moves": moves, "put": None}
+    return {**belief, **grasp, "goal": reached.goal, "refused": wanted, "moves": moves, "put": None}
 
 
 def _unless_late(belief: Value, time_s: float) -> Value:
@@ -215,7 +219,7 @@ def _place(belief: Value) -> Floats | None:
     if place is not None and not _is_seen(belief):
         return cast(Floats, place)
     found = place_on(held, _body(belief, onto), belief["bodies"], holds, belief["box_width"])
-    if found is None:
+    if found is None and belief["view"] > 0:  # the arm has looked for what is lost
         found = place_on(held, _body(belief, onto), _known(belief), holds, belief["box_width"])
     turned = place is None or found is None or float((found[:3, :3] * place[:3, :3]).sum()) < _ALIKE
     return found if place is None or not turned else cast(Floats, place)
@@ -226,8 +230,10 @@ def _after_lower(belief: Value, time_s: float) -> Value:
     if not is_filled(belief):
         return entered(belief, RETREAT, time_s)
     belief = steadied(belief, has_reached(belief, belief["place"]), time_s)
-    there = is_steady(belief, time_s, STILL_S) or is_late(belief, time_s)
-    return entered({**belief, "put": belief["target"]}, OPEN, time_s) if there else belief
+    if not is_steady(belief, time_s, STILL_S) and not is_late(belief, time_s):
+        return belief
+    aside = ((belief["refused"][0], belief["target"]),) if moves_aside(belief) else ()
+    return entered({**belief, "put": belief["target"], "cleared": (*belief["cleared"], *aside)}, OPEN, time_s)
 
 
 def _after_open(belief: Value, time_s: float) -> Value:
@@ -238,13 +244,17 @@ def _after_open(belief: Value, time_s: float) -> Value:
 
 
 def _after_retreat(belief: Value, time_s: float) -> Value:
-    """Open and up, and then home to have another look. If a cube was moved aside for another one, that is next, unless
-    it is asked for anyhow: of a tower that was in its way, the builder would have the upper cubes put back first."""
+    """Open and up, and then home to have another look. If a cube was moved aside for another one that is not asked for
+    now, that is set free first: of a tower that was in its way, the builder would have the upper cubes put back."""
     if not has_reached(belief, up(belief)) and not is_late(belief, time_s):
         return belief
-    refused, asked = belief["refused"], belief["asked"]
-    is_waiting = is_aside(belief) and asked not in (None, refused)
-    return {**watching(belief, time_s), "refused": (refused[0], TABLE) if is_waiting else None}
+    frees, asked = belief["frees"], belief["asked"]
+    if moves_aside(belief):
+        frees = belief["refused"][0] if frees is not None or asked != belief["refused"] else None
+    elif belief["put"] == belief["target"]:
+        frees = None  # it is
+    after = watching(belief, time_s)
+    return after if frees is None or asked is None else {**after, "goal": (frees, TABLE), "frees": frees}
 
 
 AFTER = {

@@ -21,9 +21,8 @@ from hierax.nodes.tower.moving import (
     OPEN,
     OVER,
     VIEWS,
-    is_aside,
-    is_making_room,
     lifted,
+    moves_aside,
     over,
     up,
     watching,
@@ -77,10 +76,12 @@ class SkillsNode(Node):
     The belief is that of phases (`hierax.nodes.picking.phases`), with ``goal`` (what is being done; None: nothing),
     ``asked`` (what was asked for last), ``view`` (from which of `VIEWS` it watches), ``place`` (world_from_gripper
     where the cube is put down; None before that is known), ``sighted_s`` (when it was last seen, while the cube is
-    carried, what that comes onto; None: never), ``refused`` (what is asked for and cannot be done with the cube in the
-    hand, or before the one that is moved in its place is out of the way; onto the table: what is done before anything
-    else), ``width`` (of the gripper, when it was last looked at), ``put`` (the cube that the hand has put down last,
-    until it begins to move the next one, or that one is lost; None: none), ``tried`` (to which ways to take cubes the
+    carried, what that comes onto; None: never), ``refused`` (what was asked for and cannot be done with the cube in the
+    hand, or before the one that is moved in its place is out of the way), ``frees`` (the cube that comes to a free
+    place of the table before any other one is moved for what is asked for, as no hand got at it where it stands; None:
+    none), ``cleared`` (which cubes were moved aside for which one, pairs of ids, that one first), ``width`` (of the
+    gripper, when it was last looked at), ``put`` (the cube that the hand has put down last, until it begins to move the
+    next one, or that one is lost; None: none), ``tried`` (to which ways to take cubes the
     hand did not come, pairs of an id and a box_from_gripper, the last few), ``stands`` (cubes of which the builder says
     so) and ``moves``, how many have begun.
 
@@ -103,6 +104,7 @@ class SkillsNode(Node):
             **nothing,
             "put": None,
             "tried": (),
+            "cleared": (),
             "stands": (),
             "moves": 0,
         }
@@ -178,13 +180,14 @@ def _held(belief: Value) -> int | None:
 def _with_goal(belief: Value, time_s: float) -> Value:
     """The belief with what is asked for, where that may change now."""
     asked = belief["asked"]
-    waits = asked is not None and (asked == belief["refused"] or is_making_room(belief))
+    frees = belief["frees"]
+    waits = asked is not None and (asked == belief["refused"] or frees not in (None, asked[0]))
     if asked == belief["goal"] or waits:
         return belief
     if belief["phase"] in _FREE:
         return watching({**belief, "goal": asked}, time_s)
     carried = belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]
-    if carried and not is_aside(belief):
+    if carried and not moves_aside(belief):
         return {**belief, "goal": asked, "place": None, "sighted_s": None}
     return belief
 
