@@ -69,6 +69,7 @@ SLOW = (
     "tests/nodes/sources/test_boards.py",
     "tests/nodes/sources/test_live.py",
     "tests/nodes/test_servo.py",
+    "tests/nodes/tower/test_skills.py",
     "tests/nodes/tracking/datasets/test_junk_scenes.py",
     "tests/nodes/tracking/datasets/test_tag.py",
     "tests/nodes/tracking/estimation/",
