@@ -74,6 +74,7 @@ def test_the_skill_is_told_with_what_it_reaches_for() -> None:
         **belief,
         "phase": "carry",
         "since_s": 0.1,
+        "target": 3,
         "goal": (3, 0),
         "refused": (3, 1),
         "asked": (3, 1),
@@ -84,6 +85,8 @@ def test_the_skill_is_told_with_what_it_reaches_for() -> None:
     assert set(things) == {"skill", "/scene/gripper", "/scene/grasp", "/scene/place"}
     for told in ("**carry** for 0.2 s", "3 onto the table", "given up: 3 onto 1", "50 mm between"):
         assert told in things["skill"]
+    aside = {**moving, "gripper": np.eye(4), "place": np.eye(4), "box_width": 0.04, "refused": (2, 1)}
+    assert "to make room for: 2 onto 1" in node.show(step_of(aside), None)["skill"]
 
 
 def test_a_gripper_is_as_wide_as_its_fingers_are_apart() -> None:
