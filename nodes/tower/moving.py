@@ -122,22 +122,21 @@ def _after_watch(belief: Value, time_s: float) -> Value:
 def _reached(belief: Value) -> Reach | None:
     """How what is to be done is begun; where something is lost, it may be where it was as long as the camera has only
     looked from home."""
-    known = _known(belief)
-    cleared = [other for number, other in belief["cleared"] if number == belief["goal"][0]]
-    found = reach(belief["bodies"], belief["goal"], belief["tried"], cleared)
+    known, how = _known(belief), (belief["goal"], belief["tried"], belief["cleared"])
+    found = reach(belief["bodies"], *how)
     if found is not None or belief["view"] == 0 or len(known) == len(belief["bodies"]):
         return found
-    return reach(known, belief["goal"], belief["tried"], cleared)
+    return reach(known, *how)
 
 
 def _begun(belief: Value, reached: Reach) -> Value:
     """The belief in which a move begins: the one that was asked for, or one that makes room for it."""
     number, box_from_gripper, width_m = reached.grasp
     grasp = {"target": number, "box_from_gripper": box_from_gripper, "box_width": width_m}
-    wanted, moves = belief["goal"], belief["moves"] + 1
-    if reached.goal == wanted:
-        return {**belief, **grasp, "refused": None, "cleared": (), "moves": moves, "put": None}
-    return {**belief, **grasp, "goal": reached.goal, "refused": wanted, "moves": moves, "put": None}
+    begun = {**belief, **grasp, "goal": reached.goal, "moves": belief["moves"] + 1, "put": None}
+    if reached.goal == belief["goal"]:
+        return {**begun, "refused": None, "cleared": ()}
+    return {**begun, "refused": belief["goal"]}
 
 
 def _unless_late(belief: Value, time_s: float) -> Value:

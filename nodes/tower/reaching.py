@@ -1,6 +1,6 @@
 """Which cube is taken first, so that another one can be moved: that one, or one that is in the fingers' way."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,13 +27,13 @@ def reach(
     bodies: Sequence[Mapping[str, Any]],
     goal: Goal,
     tried: Sequence[tuple[int, Floats]] = (),
-    cleared: Collection[int] = (),
+    cleared: Sequence[tuple[int, int]] = (),
 ) -> Reach | None:
     """How a goal is begun; None: its cube is not seen well enough, or not to be taken, nor any one that is in the way.
 
     Args: bodies: as `hierax.nodes.picking.tracker.scene_known` tells them; tried: ids of cubes, each with a
         box_from_gripper that the hand did not come to, which is not chosen again before all others were; cleared: ids
-        of cubes that were moved aside already, and are not again."""
+        of cubes, each with that of one that was moved aside for it, and is not again."""
     sure = {body["id"]: body for body in bodies if is_sure(body)}
     number, onto = goal
     if number not in sure:
@@ -44,9 +44,9 @@ def reach(
         return Reach(grasp, goal)
     away = {other: body["pose"][:3, 3] - sure[number]["pose"][:3, 3] for other, body in sure.items()}
     near = [other for other in sure if other != number and float(np.linalg.norm(away[other][:2])) < _NEAR_M]
-    if choose([body for body in bodies if body["id"] not in near], [number]) is None:
+    if not near or choose([body for body in bodies if body["id"] not in near], [number]) is None:
         return None  # something else is in the way
-    near = [other for other in near if other not in cleared]
+    near = [other for other in near if (number, other) not in cleared]
     # What it comes onto stays if it can; one that makes room by itself is better than one of several.
     near.sort(key=lambda other: (not _is_free(bodies, number, other), other == onto, np.linalg.norm(away[other])))
     grasps = ((other, choose(bodies, [other])) for other in near)

@@ -81,9 +81,9 @@ class SkillsNode(Node):
     place of the table before any other one is moved for what is asked for, as no hand got at it where it stands; None:
     none), ``cleared`` (which cubes were moved aside for which one, pairs of ids, that one first), ``width`` (of the
     gripper, when it was last looked at), ``put`` (the cube that the hand has put down last, until it begins to move the
-    next one, or that one is lost; None: none), ``tried`` (to which ways to take cubes the
-    hand did not come, pairs of an id and a box_from_gripper, the last few), ``stands`` (cubes of which the builder says
-    so) and ``moves``, how many have begun.
+    next one, or that one is lost; None: none), ``tried`` (to which ways to take cubes the hand did not come, pairs of
+    an id and a box_from_gripper, the last few), ``stands`` (cubes of which the builder says so) and ``moves``, how many
+    have begun.
 
     Args: once: the cubes are where they were when the first move began, or where the hand has put them since, whatever
         is seen. For comparison."""

@@ -358,7 +358,7 @@ def test_what_was_moved_aside_for_a_cube_is_not_moved_again_for_that() -> None:
     bodies = [world.cube(number) for number in world.poses]
     first = reach(bodies, (2, 1))
     assert first is not None
-    other = reach(bodies, (2, 1), cleared=[first.goal[0]])
+    other = reach(bodies, (2, 1), cleared=[(2, first.goal[0])])
     assert other is not None
     assert other.goal not in (first.goal, (2, 1))
 
