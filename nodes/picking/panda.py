@@ -35,6 +35,7 @@ REST_RAD = np.array([0.0, -0.55, 0.0, -2.45, 0.0, 2.1, 0.785])
 _HOME_TILT_RAD = np.radians(15.0)
 _HOME_M = np.array([0.30, 0.0, 0.38])
 
+FOCAL_LENGTH = 0.8  # of the camera in the hand, in widths of its picture
 _CAMERA_M = np.array([-0.083, 0.0, -0.065])
 _CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _CAMERA_TILT_RAD = np.radians(20.0)

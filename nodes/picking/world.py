@@ -8,7 +8,7 @@ import numpy as np
 from hierax.nodes.picking.commands import CommandedNode
 from hierax.nodes.picking.display import truth_things
 from hierax.nodes.picking.layout import CUBES, disturbed, planned
-from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
+from hierax.nodes.picking.panda import FOCAL_LENGTH, HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Guest, Order, Touch, Workcell
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
@@ -20,8 +20,6 @@ from hierax.runtime.core.showing import Things
 # How far a cube stands off its place in the plan at most, and how far it is turned.
 OFF_PLAN_M = 0.004
 OFF_PLAN_RAD = np.radians(1.8)
-
-FOCAL_LENGTH = 0.8  # in widths of the picture
 
 # A cube is grasped when it has been held so high for so long.
 LIFTED_M = 0.10

@@ -243,13 +243,15 @@ def _after_open(belief: Value, time_s: float) -> Value:
 
 
 def _after_retreat(belief: Value, time_s: float) -> Value:
-    """Open and up, and then home to have another look. If a cube was moved aside for another one that is not asked for
-    now, that is set free first: of a tower that was in its way, the builder would have the upper cubes put back."""
+    """Open and up, and then home to have another look. If a cube was moved aside for another one, and something else is
+    asked for now than what was done, that is set free first: of a tower that was in its way, the builder would have the
+    upper cubes put back."""
     if not has_reached(belief, up(belief)) and not is_late(belief, time_s):
         return belief
     frees, asked = belief["frees"], belief["asked"]
     if moves_aside(belief):
-        frees = belief["refused"][0] if frees is not None or asked != belief["refused"] else None
+        as_wished = asked in (belief["refused"], (belief["target"], TABLE))
+        frees = None if as_wished and frees is None else belief["refused"][0]
     elif belief["put"] == belief["target"]:
         frees = None  # it is
     after = watching(belief, time_s)

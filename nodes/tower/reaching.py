@@ -1,16 +1,21 @@
-"""Which cube is taken first, so that another one can be moved: that one, or one that is in the fingers' way."""
+"""Which cube is taken first, so that another one can be moved: that one, one that is in the fingers' way, or the one
+that it is to come onto, where the camera would not see it."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hierax.nodes.picking.panda import FOCAL_LENGTH, HOME_GRIPPER, camera_of
 from hierax.nodes.picking.phases import is_sure
 from hierax.nodes.picking.planning import Grasp, choose
+from hierax.nodes.tower.placing import half_height
 from hierax.nodes.tower.rules import TABLE
-from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.math.geometry import Floats, invert, transform
 
 _NEAR_M = 0.12  # so near, as seen from above, a cube may be in the way of the hand that takes another one
+_LYING_M = 0.01  # so much higher than if it stood on the table, a cube may seem to be
+_CAMERA_FROM_WORLD = invert(camera_of(HOME_GRIPPER))
 
 Goal = tuple[int, int]
 """A cube, and what it is to be moved onto."""
@@ -20,7 +25,7 @@ class Reach(NamedTuple):
     """What is taken, and what for."""
 
     grasp: Grasp
-    goal: Goal  # the one that was asked for, or that a cube which is in its way comes onto the table
+    goal: Goal  # the one that was asked for, or that another cube comes onto the table first
 
 
 def reach(
@@ -38,6 +43,10 @@ def reach(
     number, onto = goal
     if number not in sure:
         return None
+    if onto in sure and (number, onto) not in cleared and _puts_out_of_sight(sure[onto]):
+        grasp = choose(bodies, [onto])
+        if grasp is not None:
+            return Reach(grasp, (onto, TABLE))
     failed = [box_from_gripper for other, box_from_gripper in tried if other == number]
     grasp = choose(bodies, [number], failed) or (choose(bodies, [number]) if failed else None)
     if grasp is not None:
@@ -56,3 +65,11 @@ def reach(
 def _is_free(bodies: Sequence[Mapping[str, Any]], number: int, without: int) -> bool:
     """Whether a cube is to be taken where another one is gone."""
     return choose([body for body in bodies if body["id"] != without], [number]) is not None
+
+
+def _puts_out_of_sight(lower: Mapping[str, Any]) -> bool:
+    """Whether a cube on the table is so far aside that one on it would not be seen from home: its middle would be
+    beside the picture."""
+    height, pose = half_height(lower), lower["pose"]
+    x, _, z = transform(_CAMERA_FROM_WORLD, pose[:3, 3] + [0.0, 0.0, 2.0 * height])
+    return bool(pose[2, 3] < height + _LYING_M and abs(x) * FOCAL_LENGTH > 0.5 * z)

@@ -12,6 +12,7 @@ import pytest
 from hierax.nodes.picking.panda import HOME_GRIPPER
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
 from hierax.nodes.tower.moving import CARRY, LOWER, MOST_TRIED, OPEN, OVER, VIEW_S, VIEWS
+from hierax.nodes.tower.placing import free_spots
 from hierax.nodes.tower.reaching import reach
 from hierax.nodes.tower.skills import REST, SkillsNode, gripper_commands, held_and_standing, scene_and_skill
 from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose
@@ -382,6 +383,32 @@ def test_where_a_lost_cube_was_it_keeps_nobody_off_once_the_arm_has_looked_elsew
     world.until(OPEN, (2, 1), 400)
     assert world.phases[:2] == [WATCH, OVER]
     np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[1][:2, 3], atol=0.0015)
+
+
+def test_a_cube_on_which_another_one_would_not_be_seen_from_home_comes_nearer_first() -> None:
+    world = Obedient()
+    world.poses[1][:2, 3] = 0.43, -0.30
+    world.until(LOWER, (2, 1))
+    assert world.belief["goal"] == (1, 0)
+    world.until(WATCH, (1, 0))  # what it stands on is not settled yet: the rules ask for just that
+    world.until(LOWER, (2, 1))
+    assert world.belief["goal"] == (2, 1)
+    assert world.belief["moves"] == 2
+    world.until(OPEN, (2, 1))
+    np.testing.assert_allclose(world.poses[2][:2, 3], world.poses[1][:2, 3], atol=0.0015)
+
+
+@pytest.mark.parametrize("side_m", [0.03, 0.07])
+def test_on_no_place_that_is_chosen_for_a_cube_another_one_is_out_of_sight(side_m: float) -> None:
+    spots = free_spots([], side_m)
+    for spot in spots[np.abs(spots[:, 1]) >= np.abs(spots[:, 1]).max() - 1e-6]:
+        lower = {
+            **Obedient().cube(1),
+            "size": np.full(3, side_m),
+            "pose": make_pose(np.eye(3), np.array([*spot, side_m / 2])),
+        }
+        first = reach([Obedient().cube(2), lower], (2, 1))
+        assert first is None or first.goal == (2, 1)
 
 
 def test_what_is_in_the_way_stays_when_nothing_is_asked_for_any_more() -> None:
