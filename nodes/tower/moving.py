@@ -63,6 +63,14 @@ def watching(belief: Value, time_s: float) -> Value:
     return entered({**belief, **dict.fromkeys(OF_A_MOVE), "view": 0}, WATCH, time_s)
 
 
+def sought(belief: Value, time_s: float) -> Value:
+    """The belief in which something else is to be done now, and nothing was begun: where the camera has been brought to
+    look for what is lost, it stays for its time, as what was found from there may not be seen from home."""
+    if belief["phase"] == WATCH and belief["view"] > 0:
+        return {**belief, **dict.fromkeys(OF_A_MOVE)}
+    return watching(belief, time_s)
+
+
 def moves_aside(belief: Value) -> bool:
     """Whether what is moved is in the way of what was asked for."""
     return belief["refused"] is not None and bool(belief["refused"][0] != belief["target"])

@@ -24,8 +24,8 @@ from hierax.nodes.tower.moving import (
     lifted,
     moves_aside,
     over,
+    sought,
     up,
-    watching,
 )
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.schema import TRACKED
@@ -185,7 +185,7 @@ def _with_goal(belief: Value, time_s: float) -> Value:
     if asked == belief["goal"] or waits:
         return belief
     if belief["phase"] in _FREE:
-        return watching({**belief, "goal": asked}, time_s)
+        return sought({**belief, "goal": asked}, time_s)
     carried = belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]
     if carried and not moves_aside(belief):
         return {**belief, "goal": asked, "place": None, "sighted_s": None}

@@ -109,6 +109,29 @@ def test_what_is_lost_is_looked_for_from_every_side() -> None:
     assert all(view is HOME_GRIPPER for view in home[1:])
 
 
+def test_what_is_seen_from_elsewhere_alone_is_taken_from_there() -> None:
+    """The rules ask for it when it is found, and no longer when it is lost for as long as one looks for it."""
+    world, lost = Obedient(), 0
+    seen_from = VIEWS[2]
+    while world.belief["phase"] == WATCH and world.time_s < 10.0 * VIEW_S:
+        found = world.gripper is seen_from
+        lost = 0 if found else lost + 1
+        world.statuses[3] = "tracked" if found else "lost"
+        world.epoch((3, 1) if lost < 40 else None)
+    assert world.belief["phase"] == OVER
+    assert world.belief["view"] == 2
+
+
+def test_what_is_asked_for_by_turns_keeps_the_camera_from_no_other_side() -> None:
+    world = Obedient()
+    world.statuses[3] = "lost"
+    while world.belief["view"] == 0:
+        world.epoch(None)
+    turns = [(3, 1), None]
+    views = [world.epoch(turns[epoch // 20 % 2])["gripper"] for epoch in range(int(3 * (VIEW_S + 0.2) / 0.05))]
+    assert all(any(view is each for view in views) for each in VIEWS[1:])
+
+
 def test_nothing_is_taken_for_what_is_lost() -> None:
     """Until the cube below is found again the arm watches; onto the table the cube goes at once."""
     world = Obedient()
