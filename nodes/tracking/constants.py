@@ -183,6 +183,7 @@ AT_ONCE, GUESSES = 8, 3  # poses that are imagined of a body for one image, and 
 JUDGED_EVERY = 15  # images until a model that does not do so well is judged again
 FRESH, OLD, RIVALS = 4, 3, 8  # guesses of a sweep, and of those that were judged, that go up; objects chosen together
 SWEPT_AT_ONCE, SWEPT_EVERY, SWEPT_TOGETHER = 6, 3, 2  # as of what failed, of sweeps; so many in an image
+COVERED_AFTER = 90  # sweeps without success, before a missing body is looked for on another missing one, too
 STEP_PX, YAWS, TEMPLATE_POINTS, BUDGET = 11, 24, 40, 150_000  # from place to place; turns; control points; poses
 MOST_FACES, HULL_CORNERS = 12, 40  # the lowest faces on which a body may rest; of its hull's corners
 SHRUNK, TEMPLATE_SHRUNK = 2, 2.0  # maps, and images that templates are drawn in, are smaller by this

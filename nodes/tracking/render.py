@@ -147,7 +147,7 @@ class SegmentedDepth:
                     proposer = self._proposers[body["id"]] = Proposer(renderer)
                 # One that nobody knows may carry it: in turns with the table, heights are tried that others reach.
                 heights = _heights(belief, body) if body["turn"] % 2 == 0 < body["turn"] else []
-                tops = [] if heights else _tops(belief)
+                tops = [] if heights else _tops(belief, body)
                 places = places_seen(
                     camera, intrinsics, size, heights or [0.0], tops, len(proposer.resting), body["turn"]
                 )
@@ -209,11 +209,17 @@ def is_missing(body: Body, belief: SpatialBelief) -> bool:
     return belief["sweeping"] is not None and body["status"] == LOST
 
 
-def _tops(belief: SpatialBelief) -> list[Floats]:
-    """The upper faces of what stands, (k, 3) corners in the world's frame."""
+def _tops(belief: SpatialBelief, sought: Body) -> list[Floats]:
+    """The upper faces of what stands, (k, 3) corners in the world's frame; after long, also where they would be of
+    another missing body on it, lying on any side, which may show so little that the upper one has to be found first."""
     standing = [body for body in belief["bodies"] if body["stands"] and body["status"] == TRACKED]
-    tops = [top_of(transform(body["pose"], body["model"]["vertices"])) for body in standing]
-    return [top for top in tops if len(top)]
+    every = [top_of(transform(body["pose"], body["model"]["vertices"])) for body in standing]
+    tops = [top for top in every if len(top)]
+    if sought["turn"] <= const.COVERED_AFTER:
+        return tops
+    others = [body for body in belief["bodies"] if body is not sought and is_missing(body, belief)]
+    sides = {round(float(side), 3) for body in others for side in np.ptp(body["model"]["vertices"], axis=0)}
+    return tops + [top + np.array([0.0, 0.0, side]) for top in tops for side in sorted(sides)]
 
 
 def _heights(belief: SpatialBelief, body: Body) -> list[float]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from support.boxes import INTRINSICS, SIZE, Box, cast
 
+from hierax.nodes.tracking.constants import COVERED_AFTER
 from hierax.nodes.tracking.math.geometry import NO_POSES, exp_so3, invert, looking_down, make_pose
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.render import DepthRenderer, Item, SegmentedDepth
@@ -116,15 +119,31 @@ def test_context_is_the_scene_as_the_camera_sees_it() -> None:
     assert np.array_equal(element["poses"][0]["pose"], pose)
 
 
+def lost_cube(number: int, side_m: float, turn: int) -> Any:
+    mesh = box_mesh((side_m, side_m, side_m))
+    body = {"id": number, "obj_id": number, "pose": np.eye(4), "velocity": np.zeros(6), "covariance": np.eye(6)}
+    body.update(status="lost", support=np.zeros(3), stands=False, guesses=NO_POSES, others=NO_POSES, kept=0)
+    return {**body, "turn": turn, "model": {"vertices": mesh.vertices, "faces": mesh.faces}}
+
+
+@pytest.mark.parametrize(("turn", "heights"), [(11, [0.0, 0.06]), (COVERED_AFTER + 1, [0.0, 0.06, 0.09])])
+def test_after_long_a_missing_body_is_looked_for_on_another_one_that_is_missing_too(
+    turn: int, heights: list[float]
+) -> None:
+    below, between, sought = lost_cube(1, 0.06, 0), lost_cube(2, 0.03, 0), lost_cube(3, 0.04, turn)
+    standing = {"pose": make_pose(np.eye(3), [0.0, 0.0, 0.03]), "status": "tracked", "stands": True}
+    bodies = ({**below, **standing}, between, sought)
+    seen = {"camera": looking_down(0.4, 0.75, 0.45, np.zeros(3)), "intrinsics": INTRINSICS, "size": SIZE, "frame": 3}
+    (element,) = SegmentedDepth()({**seen, "bodies": bodies, "sweeping": (3,)})
+    (sweep,) = element["sweeps"]
+    assert np.unique(sweep["places"][:, 2, 3].round(6)).tolist() == heights
+    high = sweep["places"][sweep["places"][:, 2, 3] > 0.0]
+    assert np.abs(high[:, :2, 3]).max() <= 0.03 + 1e-9
+
+
 def test_a_missing_body_is_also_looked_for_where_others_that_nobody_knows_would_carry_it() -> None:
     camera = looking_down(0.4, 0.75, 0.45, np.zeros(3))
-    bodies = []
-    for number, side in ((1, 0.05), (2, 0.03)):
-        mesh = box_mesh((side, side, side))
-        body = {"id": number, "obj_id": number, "pose": np.eye(4), "velocity": np.zeros(6), "covariance": np.eye(6)}
-        body.update(status="lost", support=np.zeros(3), stands=False, guesses=NO_POSES, others=NO_POSES, kept=0)
-        body.update(turn=number, model={"vertices": mesh.vertices, "faces": mesh.faces})
-        bodies.append(body)
+    bodies = [lost_cube(number, side, number) for number, side in ((1, 0.05), (2, 0.03))]
     seen = {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "frame": 3}
     (element,) = SegmentedDepth()({**seen, "bodies": tuple(bodies), "sweeping": (1, 2)})
     table, above = element["sweeps"]
