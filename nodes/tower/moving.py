@@ -63,7 +63,7 @@ def watching(belief: Value, time_s: float) -> Value:
     return entered({**belief, **dict.fromkeys(OF_A_MOVE), "view": 0}, WATCH, time_s)
 
 
-def sought(belief: Value, time_s: float) -> Value:
+def asked_anew(belief: Value, time_s: float) -> Value:
     """The belief in which something else is to be done now, and nothing was begun: where the camera has been brought to
     look for what is lost, it stays for its time, as what was found from there may not be seen from home."""
     if belief["phase"] == WATCH and belief["view"] > 0:

@@ -21,10 +21,10 @@ from hierax.nodes.tower.moving import (
     OPEN,
     OVER,
     VIEWS,
+    asked_anew,
     lifted,
     moves_aside,
     over,
-    sought,
     up,
 )
 from hierax.nodes.tracking.math.geometry import invert
@@ -185,7 +185,7 @@ def _with_goal(belief: Value, time_s: float) -> Value:
     if asked == belief["goal"] or waits:
         return belief
     if belief["phase"] in _FREE:
-        return sought({**belief, "goal": asked}, time_s)
+        return asked_anew({**belief, "goal": asked}, time_s)
     carried = belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]
     if carried and not moves_aside(belief):
         return {**belief, "goal": asked, "place": None, "sighted_s": None}

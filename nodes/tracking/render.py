@@ -209,16 +209,17 @@ def is_missing(body: Body, belief: SpatialBelief) -> bool:
     return belief["sweeping"] is not None and body["status"] == LOST
 
 
-def _tops(belief: SpatialBelief, sought: Body) -> list[Floats]:
-    """The upper faces of what stands, (k, 3) corners in the world's frame; after long, also where they would be of
-    another missing body on it, lying on any side, which may show so little that the upper one has to be found first."""
-    standing = [body for body in belief["bodies"] if body["stands"] and body["status"] == TRACKED]
-    every = [top_of(transform(body["pose"], body["model"]["vertices"])) for body in standing]
-    tops = [top for top in every if len(top)]
-    if sought["turn"] <= const.COVERED_AFTER:
+def _tops(belief: SpatialBelief, body: Body) -> list[Floats]:
+    """The upper faces of what stands, (k, 3) corners in the world's frame, on which a body may be; after long, also
+    those of another missing body there, lying on any side: it may show so little that what is on it has to be found
+    first."""
+    standing = [other for other in belief["bodies"] if other["stands"] and other["status"] == TRACKED]
+    tops = [top_of(transform(other["pose"], other["model"]["vertices"])) for other in standing]
+    tops = [top for top in tops if len(top)]
+    if body["turn"] <= const.COVERED_AFTER:
         return tops
-    others = [body for body in belief["bodies"] if body is not sought and is_missing(body, belief)]
-    sides = {round(float(side), 3) for body in others for side in np.ptp(body["model"]["vertices"], axis=0)}
+    missing = [other for other in belief["bodies"] if other is not body and is_missing(other, belief)]
+    sides = {round(float(side), 3) for other in missing for side in np.ptp(other["model"]["vertices"], axis=0)}
     return tops + [top + np.array([0.0, 0.0, side]) for top in tops for side in sorted(sides)]
 
 

@@ -79,14 +79,16 @@ class Meter(Watcher):
 
     def read(self, busy: str = "", waits_for: str = "") -> Value:
         """What was measured, up to now, in nanoseconds. `busy` is the operator that the node is in, which has not
-        returned yet, or empty; `waits_for` is who sends the message that it waits for, which has not come yet."""
+        returned yet, or empty; `waits_for` is who sends the message that it waits for, which has not come yet. Where
+        it is empty, that of whom a message has just come was waited for, from which nothing has followed yet."""
         now = self._clock()
         work, waiting = dict(self._work), dict(self._waiting)
         if self._works or busy:
             kind = kind_of(busy) if busy else OTHER
             work[kind] += max(now - (self._mark if self._works else self._arrived), 0)
         else:
-            waiting[waits_for] = waiting.get(waits_for, 0) + max(now - self._idle, 0)
+            sender = waits_for or self._sender
+            waiting[sender] = waiting.get(sender, 0) + max(now - self._idle, 0)
         return {
             "ns": now - self._begun,
             "epochs": self._epochs,

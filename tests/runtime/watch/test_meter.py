@@ -98,6 +98,12 @@ def test_what_is_under_way_counts(meter: Meter, clock: Clock) -> None:
     assert meter.read()["work_ns"]["other"] == 60
 
 
+def test_what_has_just_come_was_waited_for_although_nothing_followed_from_it_yet(meter: Meter, clock: Clock) -> None:
+    clock.now += 9
+    meter.received(message(OBSERVATIONS, "left"))
+    assert meter.read()["waiting_ns"] == {"left": 9}
+
+
 def test_a_turn_of_its_own_is_waited_for_by_nobodys_name(meter: Meter, clock: Clock) -> None:
     clock.now += 4
     meter.turned()
