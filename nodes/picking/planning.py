@@ -50,7 +50,7 @@ def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int], tried: 
     boxes = Boxes(poses[:, :3, 3], poses[:, :3, :3], halves / 2)
     free = [index for index, body in enumerate(bodies) if body["id"] in eligible and _uncovered(boxes, index)]
     found = [(cost, grasp, pose) for index in free for cost, grasp, pose in _candidates(bodies[index])]
-    found = [each for each in found if not any(_is_alike(each[1].box_from_gripper, other) for other in tried)]
+    found = [each for each in found if not any(is_alike(each[1].box_from_gripper, other) for other in tried)]
     found.sort(key=lambda item: item[0])
     reached: dict[int, bool] = {}
     for clearance_m in CLEARANCES_M:
@@ -64,7 +64,7 @@ def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int], tried: 
     return None
 
 
-def _is_alike(first: Floats, second: Floats) -> bool:
+def is_alike(first: Floats, second: Floats) -> bool:
     """Whether two grasps of a box are one, but for how well the box is known."""
     distance_m, angle_rad = pose_error(first, second)
     return distance_m < _ALIKE_M and angle_rad < _ALIKE_RAD

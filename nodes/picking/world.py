@@ -58,6 +58,8 @@ class PickWorld(CommandedNode, World):
         acceleration_m_s2: how fast the controller has the gripper speed up and slow down.
     """
 
+    works_ahead = True
+
     def __init__(
         self,
         scene: int = 0,

@@ -225,9 +225,9 @@ def _place(belief: Value) -> Floats | None:
         return place if place is not None else place_on_table(held, belief["bodies"], holds, belief["box_width"])
     if place is not None and not _is_seen(belief):
         return cast(Floats, place)
-    found = place_on(held, _body(belief, onto), belief["bodies"], holds, belief["box_width"])
+    found = place_on(held, _body(belief, onto), belief["bodies"], holds, belief["box_width"], place)
     if found is None and belief["view"] > 0:  # the arm has looked for what is lost
-        found = place_on(held, _body(belief, onto), _known(belief), holds, belief["box_width"])
+        found = place_on(held, _body(belief, onto), _known(belief), holds, belief["box_width"], place)
     turned = place is None or found is None or float((found[:3, :3] * place[:3, :3]).sum()) < _ALIKE
     return found if place is None or not turned else cast(Floats, place)
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.panda import HOME_RAD, joints_for
-from hierax.nodes.picking.planning import CLEARANCES_M, OPENING_M, Boxes, clear, joints_at
+from hierax.nodes.picking.planning import CLEARANCES_M, OPENING_M, Boxes, clear, is_alike, joints_at
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 
 Body = Mapping[str, Any]
@@ -19,22 +19,29 @@ _QUARTERS = (0.0, np.pi / 2, -np.pi / 2, np.pi)
 
 
 def place_on(
-    held: Body, lower: Body, bodies: Sequence[Body], box_from_gripper: Floats, width_m: float
+    held: Body,
+    lower: Body,
+    bodies: Sequence[Body],
+    box_from_gripper: Floats,
+    width_m: float,
+    found_before: Floats | None = None,
 ) -> Floats | None:
     """world_from_gripper where a held box stands on the middle of another one, its sides along that one's; None: the
     arm does not reach it, or the hand would touch something.
 
     Args: held, lower: two of the bodies, as `hierax.nodes.picking.tracker.scene_known` tells them; bodies: all.
-        box_from_gripper: how the box is held; width_m: between the fingers."""
+        box_from_gripper: how the box is held; width_m: between the fingers; found_before: what was found for them when
+        they were seen last: what is like it, the arm reaches."""
     least = least_turn(held["pose"], lower["pose"])
     middle = lower["pose"][:3, 3] + [0.0, 0.0, half_height(lower) + half_height(held) + GAP_M]
-    others = [body for body in bodies if body is not held]
-    wrist = _wrist(held, box_from_gripper)
+    boxes = _boxes([body for body in bodies if body is not held])
+    now = held["pose"] @ box_from_gripper
     for quarter in _QUARTERS:
-        pose = _turned(held["pose"], least + quarter, middle)
-        found = _fits(pose @ box_from_gripper, others, width_m, wrist)
-        if found is not None:
-            return found
+        gripper = _turned(held["pose"], least + quarter, middle) @ box_from_gripper
+        if _is_clear(gripper, boxes, width_m):
+            reached = found_before is not None and is_alike(gripper, found_before)
+            if reached or _comes_to(gripper, now):
+                return gripper
     return None
 
 
@@ -42,12 +49,12 @@ def place_on_table(held: Body, bodies: Sequence[Body], box_from_gripper: Floats,
     """The same at a free place of the table: the nearest to where the box is; None: there is none."""
     others = [body for body in bodies if body is not held]
     circles = [(body["pose"][:2, 3], float(np.linalg.norm(body["size"][:2]))) for body in others]
-    wrist = _wrist(held, box_from_gripper)
+    boxes, now = _boxes(others), held["pose"] @ box_from_gripper
     for spot in free_spots(circles, float(np.linalg.norm(held["size"][:2])), held["pose"][:2, 3]):
         pose = _turned(held["pose"], 0.0, np.array([*spot, half_height(held) + GAP_M]))
-        found = _fits(pose @ box_from_gripper, others, width_m, wrist)
-        if found is not None:
-            return found
+        gripper = pose @ box_from_gripper
+        if _is_clear(gripper, boxes, width_m) and _comes_to(gripper, now):
+            return gripper
     return None
 
 
@@ -78,24 +85,26 @@ def at_height(gripper: Floats, height_m: float) -> Floats:
     return raised
 
 
-def _wrist(held: Body, box_from_gripper: Floats) -> float:
-    """The angle of the last joint, rad, by which the hand is where it holds a box now, come there from home."""
-    return float(joints_for(held["pose"] @ box_from_gripper, HOME_RAD)[0][-1])
-
-
-def _fits(gripper: Floats, others: Sequence[Body], width_m: float, wrist: float) -> Floats | None:
-    """The gripper's pose, if the hand can come there and touches nothing: not through the wrist's ends, between which
-    it has less than a whole turn, so that the way from one side of them to the other is the long one."""
-    poses = [body["pose"] for body in others]
-    boxes = Boxes(
+def _boxes(bodies: Sequence[Body]) -> Boxes:
+    poses = [body["pose"] for body in bodies]
+    return Boxes(
         np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3),
         np.array([pose[:3, :3] for pose in poses]).reshape(-1, 3, 3),
-        np.array([body["size"] for body in others]).reshape(-1, 3) / 2,
+        np.array([body["size"] for body in bodies]).reshape(-1, 3) / 2,
     )
+
+
+def _is_clear(gripper: Floats, boxes: Boxes, width_m: float) -> bool:
+    """Whether the hand touches nothing where it lets go."""
+    return clear(gripper, width_m + OPENING_M, boxes, CLEARANCES_M[-1])
+
+
+def _comes_to(gripper: Floats, now: Floats) -> bool:
+    """Whether the arm comes to a gripper's pose from another one: not through the wrist's ends, between which it has
+    less than a whole turn, so that the way from one side of them to the other is the long one."""
     joints = joints_at(gripper)
-    if joints is None or abs(joints[-1] - wrist) > np.pi:
-        return None
-    return gripper if clear(gripper, width_m + OPENING_M, boxes, CLEARANCES_M[-1]) else None
+    # The last joint's angle where the hand is now, come there from home.
+    return joints is not None and abs(joints[-1] - float(joints_for(now, HOME_RAD)[0][-1])) <= np.pi
 
 
 def _turned(pose: Floats, angle: float, middle: Floats) -> Floats:

@@ -206,7 +206,16 @@ class Node(ABC):
 
 
 class World(Node):
-    """N₀, the external world: its `predict` makes the actuators move and time pass."""
+    """N₀, the external world: its `predict` makes the actuators move and time pass.
+
+    Attributes:
+        works_ahead: whether `predict`, and the edge functions φ of what it gives, may be called as soon as the epoch's
+            actions are known, while the other nodes are still at work on the epoch. For a simulation, or what is read
+            from files: not for what senses when it is called, as that would then be older than its epoch. Where the
+            world gets context, it was in vain, and both are called again.
+    """
+
+    works_ahead: ClassVar[bool] = False
 
     def time_s(self, belief: Value, epoch: int) -> float:
         """The time of an epoch that begins in `belief`, in seconds. By default the epoch's number less one."""

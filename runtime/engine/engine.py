@@ -10,6 +10,7 @@ from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.core.node import World
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.ahead import Ahead, Chosen
 from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.table import (
     ACTIONS,
@@ -46,8 +47,8 @@ class Engine:
     def __init__(
         self,
         wiring: Wiring,  # the node, bound to its name and neighbours, and its edges
-        # Called with all that is to be done, as soon as it is known: a task message before the belief is predicted, one
-        # node's context before the next one's.
+        # Called with all that is to be done, as soon as it is known: a task message before the context from above is
+        # there, one node's context before the next one's.
         effects: EngineEffects,
         *,
         saved: Saved | None = None,  # where a crashed process of the node goes on; None: at the beginning
@@ -64,6 +65,8 @@ class Engine:
         self._sent: dict[Slot, Message] = {}
         self._observations: Elements = ()
         self._sensed: Value = None
+        self._intent: Chosen | None = None
+        self._ahead = Ahead()
         self._vigilance: Vigilance | None = None
         self._after = 0
         self._superseded: dict[int, tuple[ActiveNode, bytes]] = {}
@@ -358,6 +361,7 @@ class Engine:
         self.inbox = {}
         self._heard = self._told = _NO_MESSAGES
         self._sent.clear()
+        self._intent = None
         self._vigilance = Vigilance() if is_due(self.epoch) else None
         self._enter(Phase.SENSE)
 
@@ -380,6 +384,8 @@ class Engine:
     def _take(self, slot: Slot, message: Message) -> None:
         self.inbox[slot] = message
         if len(self.inbox) < len(self.awaited):
+            if slot[1] == TASKS:
+                self._act_early()
             return
         if self.phase is Phase.SENSE:
             self._sense()
@@ -411,30 +417,43 @@ class Engine:
     def _send_up(self) -> None:
         self._enter(Phase.PREDICT)
         epoch, time_s, belief = self.epoch, self.time_s, self._sensed
-        for upper, sense in self.wiring.sense:
+        sensed = self._ahead.observations(epoch, belief, self.wiring.sense)
+        for number, (upper, sense) in enumerate(self.wiring.sense):
             elements: Elements = ()
             if sense is not None:
-                elements = sense.elements(epoch, time_s, belief)
+                elements = sensed[number] if sensed else sense.elements(epoch, time_s, belief)
                 if self._vigilance or self.events:
                     self._called(sense, elements)
             self._send(OBSERVATIONS, upper, elements, b"")
         if not self.awaited:
             self._predict()
-        elif self._held:
+            return
+        if not self.wiring.tasking:
+            self._act_early()
+        if self._held:
             self._release()
 
-    def _predict(self) -> None:
-        self._told = inbox = self.inbox
+    def _act_early(self) -> None:
+        """Where all tasks are in: what they ask for is on its way down before the context from above is there."""
+        inbox = self.inbox
+        for upper in self.wiring.tasking:
+            if (upper, TASKS) not in inbox:
+                return
+        chosen = self._act()
+        world = self._world
+        if world is not None and world.works_ahead:
+            belief = self._ahead.predict(chosen, self._predicted)
+            self._ahead.sense(self.node, world, self.wiring.sense, self.epoch + 1, belief)
+
+    def _act(self) -> Chosen:
+        """The tasks, the policy and its actions; task messages leave."""
         wiring, node, epoch, time_s, sensed = self.wiring, self.node, self.epoch, self.time_s, self._sensed
-        above = node.above
-        tasks = _union(inbox, wiring.tasking, TASKS) if wiring.tasking else ()
-        context = _union(inbox, above, CONTEXT) if above else ()
+        tasks = _union(self.inbox, wiring.tasking, TASKS) if wiring.tasking else ()
         policy = self.state.policy
         vigilance = self._vigilance
         if vigilance:
             vigilance.keep("tasks", tasks)
-            vigilance.keep("context", context)
-        if above:
+        if node.above:
             policy = node.choose(epoch, time_s, tasks)
             if vigilance or self.events:
                 self._called(node.select_policy, policy)
@@ -445,9 +464,21 @@ class Engine:
         if vigilance:
             vigilance.keep("actions", actions)
         self._send_tasks(actions)
-        belief = node.predict(epoch, time_s, context, actions, sensed)
-        if belief is None:
-            node.accept_none(node.predict, epoch)
+        self._intent = chosen = (tasks, policy, actions)
+        return chosen
+
+    def _predict(self) -> None:
+        self._told = inbox = self.inbox
+        node = self.node
+        chosen = self._intent or self._act()
+        tasks, policy, actions = chosen
+        above = node.above
+        context = _union(inbox, above, CONTEXT) if above else ()
+        vigilance = self._vigilance
+        if vigilance:
+            vigilance.keep("context", context)
+        known = self._ahead.belief(chosen, context)
+        belief = known[0] if known else self._predicted(context, actions)
         if vigilance or self.events:
             self._called(node.predict, belief)
         self.state = state = ActiveNode(belief, policy, actions)
@@ -457,6 +488,14 @@ class Engine:
         self.inbox = {}
         self._enter(Phase.DONE)
         self._hand_on(tasks, context)
+
+    def _predicted(self, context: Elements, actions: Elements) -> Value:
+        """The belief that the node predicts."""
+        predict = self.node.predict
+        belief = predict(self.epoch, self.time_s, context, actions, self._sensed)
+        if belief is None:
+            self.node.accept_none(predict, self.epoch)
+        return belief
 
     def _send_tasks(self, actions: Elements) -> None:
         for lower, task in self.wiring.task:

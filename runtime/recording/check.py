@@ -8,7 +8,7 @@ it, and at the messages and digests themselves:
     ONCE     of an edge and kind there is one message in an attempt (said again, it is the same)
     SENSE    a node sends observations after it has those of every child
     UP       a node sends nothing down before it has sent its observations to every parent
-    PREDICT  a node sends nothing down before it has context, and tasks, of every parent
+    PREDICT  a node sends nothing down before it has tasks, and no context before it has context, of every parent
     ALL      a node that has done an epoch has sent all that its roster wants of it
     EPOCH    inputs are of the epoch itself; with a staleness, of one that may be used
     TIME     all messages of an attempt have the same time
@@ -233,7 +233,10 @@ class Checker:
             self._break("ALL", when, f"{step.name} has not sent {', '.join(lacking)}")
         ups = [at for line in seat.to_above if (at := sent[line]) is not None]
         first_up, last_up = min(ups, default=inf), max(ups, default=0)
-        first_down = min((at for line in seat.to_below if (at := sent[line]) is not None), default=inf)
+        first_down, first_context = (
+            min((at for line in seat.to_below if line[0] in kinds and (at := sent[line]) is not None), default=inf)
+            for kinds in ((TASKS, CONTEXT), (CONTEXT,))
+        )
         if first_down < last_up:
             self._break("UP", when, f"{step.name} sent something down before its observations had all gone up")
         used = self._used(step, when)
@@ -243,7 +246,7 @@ class Checker:
                 self._break("SENSE", when, f"{step.name} sent observations without those of {peer}")
         for kind, peer in seat.from_above:
             received = log.place(False, kind, peer, used.get((peer, kind), when))
-            if received is None or received > first_down:
+            if received is None or received > (first_down if kind == TASKS else first_context):
                 self._break("PREDICT", when, f"{step.name} predicted without {kind} of {peer}")
 
     def _check_turn(self, step: NodeStep, log: _PortLog, roster: Roster) -> None:

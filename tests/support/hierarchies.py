@@ -112,7 +112,11 @@ class DrawingNode(MixingNode):
 
 
 class MixingWorld(DrawingNode, World):
-    """N₀; its clock depends on its belief."""
+    """N₀; its clock depends on its belief. That it works ahead or does not makes no difference."""
+
+    def __init__(self, name: str, policy_count: int) -> None:
+        super().__init__(name, policy_count)
+        self.works_ahead = policy_count % 2 == 0
 
     def time_s(self, belief: Value, epoch: int) -> float:
         return epoch + float(belief["level"][0])

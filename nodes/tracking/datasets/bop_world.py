@@ -20,6 +20,8 @@ class BopWorld(World):
         tag: on the table, that tells where the camera is; None: the scene does.
     Raises DataError: a file of the scene is missing or damaged. ValueError: `fps` is not positive."""
 
+    works_ahead = True
+
     def __init__(self, scene: str, fps: float = 30.0, tag: Tag | None = None) -> None:
         if not 0 < fps < math.inf:
             raise ValueError(f"fps must be positive and finite, got {fps}")

@@ -5,7 +5,7 @@ a·α + b·β + c·γ with α, β, γ not below 0, at the inverse depth 1/z = α
 large mesh is drawn by pybullet's TinyRenderer, each by a client of its own with nothing else in it: no table, no light,
 no physics. The client is a cache; a layer depends on the arguments alone, to the bit."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ _FACES_PER_SHAPE = 15_000  # a pybullet visual shape refuses much larger meshes;
 _CAST_MAX = 300  # triangles up to which casting rays is quicker than TinyRenderer
 _MARGIN_PX = 3
 _BARELY = 1e-12  # a plane or a triangle that comes nearer to the camera's centre than this (m, m³) is seen edge-on
+_STRIP_PX = 1 << 14  # rays that are cast together
 _SEAM = 1e-9  # what α, β, γ may be below 0, 1/m: a ray between two triangles meets one of them
 
 
@@ -159,7 +160,7 @@ def _cast(corners: Floats, closed: Array, intrinsics: Array, window: Window) -> 
     width, height = window.size
     columns, rows = np.arange(float(width)), np.arange(float(height))
     inverse = np.zeros((height, width))
-    for at, (left, top, right, bottom) in enumerate(boxes.tolist()):
+    for at, left, top, right, bottom in _strips(boxes):
         alpha, beta, gamma = (
             (down[at, side] * rows[top:bottom] + level[at, side])[:, None] + across[at, side] * columns[left:right]
             for side in range(3)
@@ -174,6 +175,15 @@ def _cast(corners: Floats, closed: Array, intrinsics: Array, window: Window) -> 
         np.copyto(part, met, where=inside)
     inverse[inverse >= 1.0 / NEAREST_DRAWN_M] = 0.0
     return inverse
+
+
+def _strips(boxes: NDArray[np.intp]) -> Iterator[tuple[int, int, int, int, int]]:
+    """Boxes (n, 4) in strips of few pixels each, whose numbers stay in the processor's cache: which box, left, top,
+    right, bottom."""
+    for at, (left, top, right, bottom) in enumerate(boxes.tolist()):
+        step = max(1, _STRIP_PX // max(right - left, 1))
+        for first in range(top, bottom, step):
+            yield at, left, first, right, min(first + step, bottom)
 
 
 def _boxes(corners: Floats, intrinsics: Array, window: Window) -> NDArray[np.intp]:

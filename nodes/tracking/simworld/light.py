@@ -120,7 +120,10 @@ def _fill(mask: Array, polygon: Sequence[tuple[float, float]]) -> None:
     constant, by_column, by_row = np.array(within, np.float32).T[:, :, None]
     along = constant - by_column * np.arange(left, right, dtype=np.float32)
     down = by_row * np.arange(top, bottom, dtype=np.float32)
-    inside = np.minimum.reduce(along[:, None, :] + down[:, :, None], axis=0)
+    inside = along[0] + down[0][:, None]
+    other = np.empty_like(inside)
+    for columns, rows in zip(along[1:], down[1:], strict=True):
+        np.minimum(inside, np.add(columns, rows[:, None], out=other), out=inside)
     np.minimum(inside, np.float32(1.0), out=inside)
     window = mask[top:bottom, left:right]
     np.maximum(window, inside, out=window)

@@ -58,7 +58,7 @@ def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator
     if blur_px > 0.0:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
     image = cv2.pow(np.clip(image, 0.0, 1.0), 1.0 / GAMMA)
-    grain = np.take(_normal(), drawn_quantiles(rng, image.shape)) if noise > 0.0 else image
+    grain = _normal()[drawn_quantiles(rng, image.shape)] if noise > 0.0 else image
     return np.asarray(cv2.addWeighted(image, 255.0, grain, noise, 0.0, dtype=cv2.CV_8U))
 
 

@@ -69,6 +69,8 @@ class SimWorld(World):
         blur_px: standard deviation of the lens's blur, in pixels; fps: frames per second.
     """
 
+    works_ahead = True
+
     def __init__(
         self,
         cubes: int = len(SCENE),

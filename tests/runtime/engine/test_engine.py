@@ -89,8 +89,32 @@ def test_a_node_saves_before_it_sends_context_and_is_done_after_that() -> None:
     outputs = mixing().epoch()
     kinds = [each.message.header.kind if isinstance(each, Sent) else type(each) for each in outputs]
     assert kinds == [Kept, OBSERVATIONS, TASKS, Kept, CONTEXT, Completed]
-    outputs = mixing().take(message(OBSERVATIONS), message(TASKS))
-    assert [each.header.kind for each in sent(outputs)] == [OBSERVATIONS]
+
+
+def test_tasks_go_down_before_the_context_from_above_is_there_and_context_does_not() -> None:
+    solo = mixing()
+    assert [each.header.kind for each in sent(solo.take(message(OBSERVATIONS)))] == [OBSERVATIONS]
+    assert [each.header.kind for each in sent(solo.take(message(TASKS)))] == [TASKS]
+    assert [each.header.kind for each in sent(solo.take(message(CONTEXT)))] == [CONTEXT]
+
+
+def test_tasks_wait_for_those_of_all_above_and_for_nothing_else() -> None:
+    solo = Solo(wiring(above=("top", "top2"), mixing=True))
+    solo.take(message(OBSERVATIONS))
+    assert solo.take(message(CONTEXT), message(TASKS), other(CONTEXT)) == []
+    assert [each.header.kind for each in sent(solo.take(other(TASKS)))] == [TASKS, CONTEXT]
+
+
+def test_what_a_node_does_is_the_same_whether_tasks_or_context_come_first() -> None:
+    first, second = mixing(), mixing()
+    whole = steps(first.epoch())
+    other_order = steps(second.take(message(OBSERVATIONS), message(CONTEXT), message(TASKS)))
+    assert encoded_step(whole) == encoded_step(other_order)
+
+
+def encoded_step(done: list[Any]) -> bytes:
+    (step,) = done
+    return encode_value((step.tasks, step.context, step.policy, step.actions, step.belief))
 
 
 class Prompt(Recorder):

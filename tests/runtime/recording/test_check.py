@@ -142,7 +142,8 @@ BROKEN: dict[str, tuple[str, Callable[[Said], None]]] = {
     "observations before those below": ("SENSE", lambda said: restep(said, "low", lambda s: moved(s, UP, FROM_BELOW))),
     "without observations": ("SENSE", lambda said: restep(said, "low", lambda s: without(s, FROM_BELOW))),
     "down before up": ("UP", lambda said: restep(said, "low", lambda s: moved(s, TASK_DOWN, UP))),
-    "before context": ("PREDICT", lambda said: restep(said, "low", lambda s: moved(s, TASK_DOWN, FROM_ABOVE))),
+    "before context": ("PREDICT", lambda said: restep(said, "low", lambda s: moved(s, DOWN, FROM_ABOVE))),
+    "before tasks": ("PREDICT", lambda said: restep(said, "low", lambda s: moved(s, TASK_DOWN, TASK_FROM_ABOVE))),
     "without tasks": ("PREDICT", lambda said: restep(said, "low", lambda s: without(s, TASK_FROM_ABOVE))),
     "context not sent": ("ALL", lambda said: restep(said, "low", lambda s: without(s, DOWN))),
     "of an older epoch": (
@@ -157,6 +158,11 @@ BROKEN: dict[str, tuple[str, Callable[[Said], None]]] = {
     "a broken chain": ("DIGEST", lambda said: restep(said, "world", lambda s: s._replace(chain=bytes(32)))),
     "no hierarchy": ("GRAPH", bad_roster),
 }
+
+
+def test_tasks_may_go_down_before_context_has_come(said: Said) -> None:
+    restep(said, "low", lambda s: moved(moved(s, TASK_DOWN, FROM_ABOVE), TASK_FROM_ABOVE, TASK_DOWN))
+    assert said.check().violations == []
 
 
 @pytest.mark.parametrize("what", sorted(BROKEN))
