@@ -9,7 +9,7 @@ ROS := $(VENV)/ros/.installed
 RIVALS := $(VENV)/rivals/.installed
 WHEELS := 'ros-rclpy[fastrtps]>=9.1,<9.2' 'empy<4' $(foreach name,sensor geometry visualization diagnostic,ros-kilted-$(name)-msgs)
 
-.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras ros2 changes growth fuzz attacks line2d rival generator_b peers tutorial interrupts clean test-quick format junk
+.PHONY: demo test test-long check docs sweep model sim sensitivities mutations kills cameras ros2 changes growth fuzz attacks line2d rival generator_b peers tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -51,11 +51,14 @@ demo: $(RUNS)
 
 # three workers, for two cores; tests/conftest.py says which has what
 test: $(INSTALLED) $(ROS)
-	$(BIN)/python -m pytest --numprocesses 3
+	$(BIN)/python -m pytest --numprocesses 3 -m "not long"
+
+test-long: $(INSTALLED) $(ROS)
+	$(BIN)/python -m pytest --numprocesses 3 -m long
 
 # those that start no process and take no while: for the loop of who works on it
 test-quick: $(INSTALLED)
-	$(BIN)/python -m pytest --numprocesses 2 --quiet -m "not slow and not processes"
+	$(BIN)/python -m pytest --numprocesses 2 --quiet -m "not slow and not processes and not long"
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .

@@ -46,6 +46,8 @@ STARTING = {
     "tests/runtime/core/test_digest.py": 1,
     "tests/runtime/host/test_streams_processes.py": 1,
     "tests/runtime/host/test_streams.py": 1,
+    "tests/runtime/launch/test_changes.py": 1,
+    "tests/runtime/launch/test_folders.py": 1,
     "tests/runtime/launch/": 0,
     "tests/runtime/loading/test_loader.py": 1,
     "tests/runtime/recording/": 1,
@@ -93,6 +95,47 @@ SLOW = (
 )
 """Tests that only compute, for seconds."""
 
+LONG = (
+    "tests/docs/test_docs.py::test_the_commands_of_a_page_work",
+    "tests/docs/test_docs.py::test_the_tutorial_works_with_what_its_reader_has",
+    "tests/nodes/ros2/test_launched.py::test_it_publishes_and_survives_and_is_repeated",
+    "tests/nodes/sources/test_live_launched.py::test_a_stream_that_stalls_and_breaks_off_is_recovered_and_repeated",
+    "tests/nodes/sources/test_live_launched.py::test_processes_that_are_killed_see_no_frame_twice",
+    "tests/nodes/test_servo.py::test_the_mean_error_over_200_seeds",
+    "tests/nodes/tower/test_person.py::test_several_happen_one_after_the_other",
+    "tests/nodes/tower/test_person.py::test_two_cubes_change_places_while_the_camera_does_not_see_one",
+    "tests/nodes/tower/test_seen.py",
+    "tests/nodes/tower/test_skills.py::test_no_tower_is_taken_down_for_what_is_out_of_reach_anyhow",
+    "tests/nodes/tracking/datasets/test_junk_scenes.py",
+    "tests/nodes/tracking/datasets/test_tag.py::test_a_scene_without_camera_poses_is_tracked_by_its_tag_as_with_them",
+    "tests/nodes/tracking/datasets/test_tag.py::test_with_a_tag_an_object_is_found_where_neither_camera_nor_poses",
+    "tests/nodes/tracking/estimation/test_joint_alignment.py::test_an_open_box_stays_while_a_side_turns_away",
+    "tests/nodes/tracking/generator/test_scenes.py::test_equal_arguments_give_equal_files",
+    "tests/nodes/tracking/generator/test_scenes.py::test_of_curved_things_the_scene_says_no_symmetry",
+    "tests/nodes/tracking/generator/test_scenes.py::test_the_pushed_scene_hides_one_thing_and_topples_another",
+    "tests/nodes/tracking/generator/test_scenes.py::test_things_stand_on_the_table_or_on_one_another",
+    "tests/nodes/tracking/test_search.py::test_what_is_taken_out_is_said_to_be_gone",
+    "tests/runtime/commands/test_malicious_files.py",
+    "tests/runtime/engine/test_rated.py::test_processes_that_die_change_nothing",
+    "tests/runtime/launch/test_closed.py",
+    "tests/runtime/launch/test_encrypted.py::test_who_shows_no_certificate_of_the_run_is_let_in_at_no_port_and_told",
+    "tests/runtime/launch/test_far_hosts.py::test_a_link_that_is_cut_and_healed_holds_the_epoch_and_nothing_else",
+    "tests/runtime/launch/test_far_hosts.py::test_certificates_are_renewed_on_all_hosts",
+    "tests/runtime/launch/test_hosts.py",
+    "tests/runtime/launch/test_links.py::test_epochs_go_on_by_themselves_after_stops",
+    "tests/runtime/launch/test_pictures.py::test_a_recording_that_begins_in_the_middle_has_all_pictures",
+    "tests/runtime/launch/test_rated.py::test_a_world_that_waits_for_nobody_comes_up_and_hears",
+    "tests/runtime/launch/test_rated.py::test_what_a_process_that_was_killed_has_waited_for_is_told",
+    "tests/runtime/launch/test_rates.py::test_the_backlog_of_a_world_that_stood_still_has_a_line",
+    "tests/runtime/launch/test_renewal.py",
+    "tests/runtime/sim/test_simulation.py::test_nothing_is_wrong_under_faults_of_one_kind",
+    "tests/runtime/sim/test_simulation.py::test_nothing_is_wrong_with_rates_and_delays",
+    "tests/runtime/viewing/test_picture.py",
+    "tests/schemas/test_hostile_bytes.py::test_attacks_cost_no_more_memory_than_they_may",
+    "tests/schemas/test_hostile_bytes.py::test_many_small_entries_are_bounded_in_number",
+)
+"""A third of what all tests take, in some dozens of them."""
+
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
@@ -108,8 +151,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """`make test-quick` leaves out what starts processes, and what is slow."""
+    """`make test-quick` leaves out what starts processes, and what is slow; `make test` what is long."""
     for item in items:
+        if item.nodeid.startswith(LONG):
+            item.add_marker("long")
         if item.nodeid.startswith(tuple(STARTING)):
             item.add_marker("processes")
         elif item.nodeid.startswith(SLOW):

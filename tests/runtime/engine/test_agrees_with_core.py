@@ -5,6 +5,10 @@ What happens follows from the seeds, which a failing test prints.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 from hypothesis import currently_in_test_context, given, note, settings
 from hypothesis import strategies as st
@@ -13,6 +17,7 @@ from support.hierarchies import random_hierarchy
 from support.sweep import examples
 
 from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.engine.ahead import Ahead
 
 EPOCHS = 3
 
@@ -85,6 +90,29 @@ def test_when_nodes_come_and_go(hierarchy_seed: int, seed: int, doubling: float)
 def test_when_all_of_that_happens(hierarchy_seed: int, seed: int, doubling: float) -> None:
     faults = Faults(doubling, loss=0.03, again=0.02, crashes=0.03, hangs=0.02, leaves=0.3, changes=0.5, dropped=0.2)
     check(hierarchy_seed, seed, faults, epochs=5, nodes=6)
+
+
+def test_worlds_that_work_ahead_are_disturbed_and_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    used = Counter[str]()
+
+    def counted(what: str, found: Callable[..., Any]) -> Callable[..., Any]:
+        def counts(*arguments: Any) -> Any:
+            given = found(*arguments)
+            used[what] += bool(given)
+            return given
+
+        return counts
+
+    for what in ("belief", "observations", "predict"):
+        monkeypatch.setattr(Ahead, what, counted(what, getattr(Ahead, what)))
+    faults = Faults(0.2, loss=0.03, again=0.05, crashes=0.05, leaves=0.3)
+    networks = [check(seed, seed, faults, epochs=6, nodes=3) for seed in range(60)]
+    happened = "\n".join(line for network in networks for line in network.happened)
+    for what in ("died", "again, attempt 2"):
+        assert what in happened, what
+    assert used["belief"] > 20
+    assert used["observations"] > 20
+    assert used["predict"] > used["belief"], "some were in vain"
 
 
 def test_all_of_that_does_happen() -> None:

@@ -72,7 +72,7 @@ def test_nothing_is_wrong_under_faults_of_one_kind(kind: str) -> None:
     ("seed", "why"),
     [
         (3206, "somebody else has sent it observations"),  # lost after an attempt that nobody has begun
-        (6484, "somebody else has sent it observations"),
+        (6550, "somebody else has sent it observations"),
         (5933, "say different things"),  # two observations, of which an operator raised
         (6815, "say different things"),  # two tasks
         (14971, "not started again"),  # a node is given up, and the world's process dies before it heard that
