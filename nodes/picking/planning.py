@@ -65,7 +65,7 @@ def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int], tried: 
 
 
 def is_alike(first: Floats, second: Floats) -> bool:
-    """Whether two grasps of a box are one, but for how well the box is known."""
+    """Whether two poses of the gripper are one, in whatever frame, but for how well the box is known."""
     distance_m, angle_rad = pose_error(first, second)
     return distance_m < _ALIKE_M and angle_rad < _ALIKE_RAD
 

@@ -1,6 +1,7 @@
 """Where a cube that the hand holds can be put down: on another one, or at a free place of the table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -35,12 +36,12 @@ def place_on(
     least = least_turn(held["pose"], lower["pose"])
     middle = lower["pose"][:3, 3] + [0.0, 0.0, half_height(lower) + half_height(held) + GAP_M]
     boxes = _boxes([body for body in bodies if body is not held])
-    now = held["pose"] @ box_from_gripper
+    wrist = cache(partial(_wrist, held["pose"] @ box_from_gripper))
     for quarter in _QUARTERS:
         gripper = _turned(held["pose"], least + quarter, middle) @ box_from_gripper
         if _is_clear(gripper, boxes, width_m):
             reached = found_before is not None and is_alike(gripper, found_before)
-            if reached or _comes_to(gripper, now):
+            if reached or _comes_to(gripper, wrist):
                 return gripper
     return None
 
@@ -49,11 +50,11 @@ def place_on_table(held: Body, bodies: Sequence[Body], box_from_gripper: Floats,
     """The same at a free place of the table: the nearest to where the box is; None: there is none."""
     others = [body for body in bodies if body is not held]
     circles = [(body["pose"][:2, 3], float(np.linalg.norm(body["size"][:2]))) for body in others]
-    boxes, now = _boxes(others), held["pose"] @ box_from_gripper
+    boxes, wrist = _boxes(others), cache(partial(_wrist, held["pose"] @ box_from_gripper))
     for spot in free_spots(circles, float(np.linalg.norm(held["size"][:2])), held["pose"][:2, 3]):
         pose = _turned(held["pose"], 0.0, np.array([*spot, half_height(held) + GAP_M]))
         gripper = pose @ box_from_gripper
-        if _is_clear(gripper, boxes, width_m) and _comes_to(gripper, now):
+        if _is_clear(gripper, boxes, width_m) and _comes_to(gripper, wrist):
             return gripper
     return None
 
@@ -99,12 +100,17 @@ def _is_clear(gripper: Floats, boxes: Boxes, width_m: float) -> bool:
     return clear(gripper, width_m + OPENING_M, boxes, CLEARANCES_M[-1])
 
 
-def _comes_to(gripper: Floats, now: Floats) -> bool:
-    """Whether the arm comes to a gripper's pose from another one: not through the wrist's ends, between which it has
-    less than a whole turn, so that the way from one side of them to the other is the long one."""
+def _wrist(gripper: Floats) -> float:
+    """The angle of the last joint, rad, by which the hand is at a pose, come there from home."""
+    return float(joints_for(gripper, HOME_RAD)[0][-1])
+
+
+def _comes_to(gripper: Floats, wrist: Callable[[], float]) -> bool:
+    """Whether the arm comes to a gripper's pose: not through the wrist's ends, between which it has less than a whole
+    turn, so that the way from one side of them to the other is the long one. `wrist`: its angle now, asked if need be.
+    """
     joints = joints_at(gripper)
-    # The last joint's angle where the hand is now, come there from home.
-    return joints is not None and abs(joints[-1] - float(joints_for(now, HOME_RAD)[0][-1])) <= np.pi
+    return joints is not None and abs(joints[-1] - wrist()) <= np.pi
 
 
 def _turned(pose: Floats, angle: float, middle: Floats) -> Floats:

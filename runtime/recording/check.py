@@ -233,10 +233,9 @@ class Checker:
             self._break("ALL", when, f"{step.name} has not sent {', '.join(lacking)}")
         ups = [at for line in seat.to_above if (at := sent[line]) is not None]
         first_up, last_up = min(ups, default=inf), max(ups, default=0)
-        first_down, first_context = (
-            min((at for line in seat.to_below if line[0] in kinds and (at := sent[line]) is not None), default=inf)
-            for kinds in ((TASKS, CONTEXT), (CONTEXT,))
-        )
+        downs = [(kind, at) for kind, peer in seat.to_below if (at := sent[kind, peer]) is not None]
+        first_down = min((at for _, at in downs), default=inf)
+        first_context = min((at for kind, at in downs if kind == CONTEXT), default=inf)
         if first_down < last_up:
             self._break("UP", when, f"{step.name} sent something down before its observations had all gone up")
         used = self._used(step, when)
