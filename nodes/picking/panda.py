@@ -51,12 +51,15 @@ def gripper_at(joints: Floats) -> Floats:
     return _chain(joints)[1]
 
 
-def joints_for(gripper: Floats, start: Floats, iterations: int = 60) -> tuple[Floats, float]:
+def joints_for(gripper: Floats, start: Floats, iterations: int = 60, near: float = 0.0) -> tuple[Floats, float]:
     """Joint angles (7,), within the joints' limits, that bring the gripper to a pose, from a start by at most so many
-    steps of damped least squares; and how far off it then is: metres or radians, whichever is more."""
+    steps of damped least squares; and how far off it then is: metres or radians, whichever is more. Where it is as near
+    as that, it is left at that, even if the arm has not come to its posture yet."""
     joints = np.array(start, dtype=np.float64)
     for _ in range(iterations):
         error, jacobian = _error(gripper, joints)
+        if np.abs(error).max() < near:
+            break
         wished = _POSTURE * (REST_RAD - joints)
         step = wished + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPED, error - jacobian @ wished)
         if np.abs(error).max() < _NEAR and np.abs(step).max() < _NEAR:

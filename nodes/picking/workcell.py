@@ -22,7 +22,15 @@ import pybullet_data
 
 from hierax.nodes.picking.panda import JOINTS, TORQUES_NM
 from hierax.nodes.sources.files import DataError
-from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, place_of, pose_of, prepare
+from hierax.nodes.tracking.imagery.physics import (
+    MADE_MOST,
+    Bullet,
+    box_shape,
+    create_body,
+    place_of,
+    pose_of,
+    prepare,
+)
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 
 STEP_HZ = 240
@@ -46,6 +54,7 @@ _FINGER_GAIN = 10.0
 _CENTRING_N_M = 500.0
 _CENTRING_NS_M = 10.0
 _SOLVER_ITERATIONS = 100
+_GAINS = {"positionGains": [0.15] * JOINTS, "velocityGains": [1.0] * JOINTS}
 _TABLE_HALF_M = (2.0, 2.0, 0.5)
 _FAR_M = 1000.0
 
@@ -123,7 +132,7 @@ class Workcell:
     ) -> tuple[Arm, list[Cube], list[Touch], Guest | None]:
         """Let the arm follow an order, somebody's hand go its way, and things fall, slide and be held, for so many
         steps of `STEP_S`: how arm, cubes and hand are afterwards, and what each cube then touches."""
-        if self._robot is None or guest is not None:
+        if self._robot is None or guest is not None or self.bullet.made > MADE_MOST:
             self._robot = self._create_arm()
         robot = self._robot
         self._clear()
@@ -212,10 +221,8 @@ class Workcell:
         return guest._replace(pose=pose_of(self.bullet, hand[0]), velocity=np.array(linear + angular))
 
     def _drive_joints(self, robot: int, targets: Floats) -> None:
-        gains = {"positionGain": 0.15, "velocityGain": 1.0}
-        for joint, (target, torque) in enumerate(zip(targets, TORQUES_NM, strict=True)):
-            way = {"targetPosition": target, "force": torque, **gains}
-            self.bullet.setJointMotorControl2(robot, joint, self.bullet.POSITION_CONTROL, **way)
+        way = {"targetPositions": targets.tolist(), "forces": TORQUES_NM, **_GAINS}
+        self.bullet.setJointMotorControlArray(robot, range(JOINTS), self.bullet.POSITION_CONTROL, **way)
 
     def _drive_fingers(self, robot: int, width_m: float) -> None:
         """Each finger at a bounded speed and force towards its place; where they squeeze, gently kept in the middle."""

@@ -28,6 +28,7 @@ HELD_S = 2.0
 _ENOUGH_S = 2.5
 # From frame to frame the arm moves a little: so few steps bring its gripper where it should be; its posture follows.
 _ITERATIONS = 12
+_NEAR = 1e-5  # metres or radians
 _ASTRAY = 0.02  # metres or radians: farther from where it should come the arm does not go
 _WIDE_RAD = 1.0  # what turns less comes from no side of the wrist's end to the other
 _TURN_RAD_S = 1.5  # so fast the joint turns that has the longest way, where the arm does not go straight
@@ -102,7 +103,7 @@ class PickWorld(CommandedNode, World):
         if actions:
             setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s, self._acceleration_m_s2)
             width = actions[0]["width"]
-        targets, off = joints_for(setpoint, belief["targets"], _ITERATIONS)
+        targets, off = joints_for(setpoint, belief["targets"], _ITERATIONS, _NEAR)
         detour = _detour(actions[0]["gripper"], belief, off > _ASTRAY, interval_s) if actions else None
         if detour is not None:
             targets, setpoint, pace = detour, gripper_at(detour), 0.0

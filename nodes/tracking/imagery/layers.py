@@ -159,22 +159,29 @@ def _cast(corners: Floats, closed: Array, intrinsics: Array, window: Window) -> 
     boxes = _boxes(corners[chosen], intrinsics, window)
     width, height = window.size
     columns, rows = np.arange(float(width)), np.arange(float(height))
+    firsts, lasts = _spans(across, down[..., None] * rows + level[..., None])
+    across, down, level = (part.sum(axis=1) for part in (across, down, level))
     inverse = np.zeros((height, width))
     for at, left, top, right, bottom in _strips(boxes):
-        alpha, beta, gamma = (
-            (down[at, side] * rows[top:bottom] + level[at, side])[:, None] + across[at, side] * columns[left:right]
-            for side in range(3)
-        )
-        met = alpha + beta
-        met += gamma
-        np.minimum(alpha, beta, out=alpha)
-        np.minimum(alpha, gamma, out=alpha)
-        part = inverse[top:bottom, left:right]
-        inside = alpha >= -_SEAM
-        inside &= met > part
+        some, part = columns[left:right], inverse[top:bottom, left:right]
+        met = (down[at] * rows[top:bottom] + level[at])[:, None] + across[at] * some
+        inside = met > part
+        inside &= some >= firsts[at, top:bottom, None]
+        inside &= some <= lasts[at, top:bottom, None]
         np.copyto(part, met, where=inside)
     inverse[inverse >= 1.0 / NEAREST_DRAWN_M] = 0.0
     return inverse
+
+
+def _spans(across: Floats, start: Floats) -> tuple[Floats, Floats]:
+    """Between which columns (n, h) rays meet triangles, row by row: where none of α, β, γ is below 0, which are start
+    (n, 3, h) at column 0, and by `across` (n, 3) more in each next one."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = -(start + _SEAM) / across[..., None]
+    rises, falls = across[..., None] > 0.0, across[..., None] < 0.0
+    outside = ~(rises | falls) & (start < -_SEAM)
+    firsts = np.where(rises, ends, np.where(outside, np.inf, -np.inf)).max(axis=1)
+    return firsts, np.where(falls, ends, np.inf).min(axis=1)
 
 
 def _strips(boxes: NDArray[np.intp]) -> Iterator[tuple[int, int, int, int, int]]:

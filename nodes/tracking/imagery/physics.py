@@ -1,8 +1,8 @@
 """Rigid bodies that push one another: pybullet as a pure function of values.
 
 A pybullet client that is only given poses and velocities goes on differently from the one that they came from (it keeps
-contacts and solver state), so it is emptied and built again from the values at every call: about a millisecond for six
-cubes, and equal to the bit however often and in whichever process it is done."""
+contacts and solver state), so bodies are taken away and built again from the values at every call: less than a
+millisecond for six cubes, and equal to the bit however often and in whichever process it is done."""
 
 import os
 import weakref
@@ -25,6 +25,9 @@ HULL_MARGIN_M = 0.00055
 HULL_DIRECTIONS = 240
 
 GRAVITY_M_S2 = 9.81
+
+MADE_MOST = 4000
+"""So many bodies may have been in a world before it is emptied: of each that is gone pybullet keeps 900 bytes."""
 
 
 class Motion(NamedTuple):
@@ -66,6 +69,8 @@ class Simulator:
 
     def __init__(self) -> None:
         self._bullet = Bullet()
+        self._step_s = 0.0  # for which the client is prepared
+        self._handles: list[int] = []
 
     def run(
         self,
@@ -81,13 +86,22 @@ class Simulator:
             return list(motions)
         steps = min(MAX_STEPS, max(1, ceil(duration_s / STEP_S - 1e-6)))
         step_s = duration_s / steps
-        prepare(self._bullet, step_s, [TABLE_HALF_M] * 3, 1.0)
-        handles = [self._create(solid, motion) for solid, motion in zip(solids, motions, strict=True)]
+        self._clear(step_s)
+        handles = self._handles = [self._create(solid, motion) for solid, motion in zip(solids, motions, strict=True)]
         for _ in range(steps):
             for index, drive in (drives or {}).items():
                 self._draw_along(handles[index], solids[index], drive, step_s)
             self._bullet.stepSimulation()
         return [self._read(handle, solid) for handle, solid in zip(handles, solids, strict=True)]
+
+    def _clear(self, step_s: float) -> None:
+        """Have nothing there but the table: to begin anew takes far longer than to take away what is on it."""
+        if step_s != self._step_s or self._bullet.made > MADE_MOST:
+            prepare(self._bullet, step_s, [TABLE_HALF_M] * 3, 1.0)
+            self._step_s = step_s
+            return
+        for handle in reversed(self._handles):  # so that numbers and places of those to come are the same again
+            self._bullet.removeBody(handle)
 
     def _create(self, solid: Solid, motion: Motion) -> int:
         bullet = self._bullet
@@ -133,6 +147,12 @@ class Bullet:
 
     _client: int | None = None
 
+    def __init__(self) -> None:
+        self.shapes: dict[
+            tuple[str, bytes], int
+        ] = {}  # handles: pybullet keeps shapes when bodies are gone, so equal ones share one
+        self.made = 0  # bodies, since the world was empty; also of each of those that are gone it keeps something
+
     def __getattr__(self, name: str) -> Any:
         pybullet = _loaded()
         if self._client is None:
@@ -163,26 +183,35 @@ def prepare(bullet: Bullet, step_s: float, half_m: Sequence[float], friction: fl
     """Empty a client's world but for a table, whose handle is returned: a box of these halves, its top z = 0. A box,
     not a plane: against a plane a box has one contact in its first step, and rocks."""
     bullet.resetSimulation()
+    bullet.shapes.clear()
+    bullet.made = 0
     bullet.setPhysicsEngineParameter(fixedTimeStep=step_s, deterministicOverlappingPairs=1, **solver)
     bullet.setGravity(0.0, 0.0, -GRAVITY_M_S2)
-    slab = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half_m)
-    table = int(bullet.createMultiBody(0.0, slab, basePosition=[0.0, 0.0, -half_m[2]]))
+    table = int(bullet.createMultiBody(0.0, box_shape(bullet, half_m), basePosition=[0.0, 0.0, -half_m[2]]))
     bullet.changeDynamics(table, -1, lateralFriction=friction)
     return table
 
 
 def box_shape(bullet: Bullet, half_m: Sequence[float]) -> int:
     """The handle of a box's shape, by the halves of its sides, metres."""
-    return int(bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half_m))
+    return _shared(bullet, "GEOM_BOX", np.array(half_m), halfExtents=half_m)
 
 
 def hull_shape(bullet: Bullet, vertices: Floats) -> int:
     """The handle of the shape of points' convex hull, metres."""
-    return int(bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist()))
+    return _shared(bullet, "GEOM_MESH", vertices, vertices=vertices.tolist())
+
+
+def _shared(bullet: Bullet, geometry: str, form: Floats, **said: Sequence[Any]) -> int:
+    key = geometry, form.tobytes()
+    if key not in bullet.shapes:
+        bullet.shapes[key] = int(bullet.createCollisionShape(getattr(bullet, geometry), **said))
+    return bullet.shapes[key]
 
 
 def create_body(bullet: Bullet, shape: int, mass: float, friction: float, pose: Floats) -> int:
     """The handle of a new body (kg; Coulomb's coefficient) whose centre of mass is at a pose; it does not bounce."""
+    bullet.made += 1
     handle = int(bullet.createMultiBody(mass, shape, -1, *place_of(pose)))
     bullet.changeDynamics(handle, -1, lateralFriction=friction, restitution=0.0)
     return handle

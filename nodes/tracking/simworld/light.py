@@ -8,7 +8,7 @@ and every edge there would seem to be half a millimetre farther out than it is."
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, copysign, floor, hypot
+from math import copysign, hypot
 
 import cv2
 import numpy as np
@@ -19,6 +19,14 @@ from hierax.nodes.tracking.simworld.shapes import Face
 Window = tuple[int, int, int, int]  # pixels of a picture: left, top, right, bottom, the ends excluded
 LEAST_M = 1e-4  # what rises less over a face throws no shadow on it
 LAMP_POINTS = 9  # shadows are the mean of those that so many points of a lamp throw
+
+_GRAZING = 1e-3  # light that comes more nearly along a face throws no shadows on it
+_FULL = 255  # a pixel that a shadow covers
+_SHIFT = 8  # bits of a pixel's fraction, in polygons for OpenCV
+_REACH_PX = 0.66  # so much farther out than a polygon's sides OpenCV's smooth filling has its middle; 0.60 to 0.69
+_LEAST_PX = 1e-3  # shorter sides have no direction
+_ACUTE = 0.3  # one and the cosine of how far a corner turns: what turns more is cut short
+_FARTHEST_PX = float(1 << 20)
 
 
 @dataclass(frozen=True)
@@ -47,86 +55,94 @@ def shaded(
     inside, float32 (h, w). The homography leads from the face's coordinates to pixels, all of them in front of the
     camera. Of the convex parts, corners (n, 3) in the world's frame, that may throw a shadow on it, its own may be one.
     """
-    normal = face.normal
-    slope = max(0.0, float(lamp.direction @ normal))
+    slope = max(0.0, float(lamp.direction @ face.normal))
     bright = lamp.ambient + lamp.diffuse * slope
-    over = [corners for corners in parts if ((corners - face.corner) @ normal).max() > LEAST_M] if slope else []
-    thrown = [[_in_pixels(polygon, homography) for polygon in shadows(corners, face, lamp)] for corners in over]
-    thrown = [polygons for polygons in thrown if polygons]
+    thrown = [shadows(corners, face, lamp) for corners in parts] if slope else []
+    thrown = [_in_pixels(polygons, homography) for polygons in thrown if polygons]
     every = [polygon for polygons in thrown for polygon in polygons]
     left, top, right, bottom = 0, 0, 0, 0
     if every:
         corners = np.concatenate(every)
         left, top = (int(x) for x in np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0))
         right, bottom = (int(x) for x in np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, size))
-    light = np.full((max(bottom - top, 0), max(right - left, 0)), bright, np.float32)
-    dark, share = np.empty_like(light), np.float32(lamp.diffuse * slope / LAMP_POINTS)
+    shape = (max(bottom - top, 0), max(right - left, 0))
+    light, dark = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     for polygons in zip(*thrown, strict=True) if light.size else ():
-        dark.fill(0.0)
+        dark.fill(0)
         for polygon in polygons:
-            _fill(dark, (polygon - (left, top)).tolist())
-        dark *= share
-        light -= dark
-    return bright, (left, top, left + light.shape[1], top + light.shape[0]), light
+            _fill(dark, polygon - (left, top))
+        cv2.accumulate(dark, light)
+    light *= np.float32(-lamp.diffuse * slope / (LAMP_POINTS * _FULL))
+    light += np.float32(bright)
+    return bright, (left, top, left + shape[1], top + shape[0]), light
 
 
-def _in_pixels(polygon: Floats, homography: Floats) -> Floats:
-    pixels = polygon @ homography[:, :2].T + homography[:, 2]
-    return np.asarray(pixels[:, :2] / pixels[:, 2:])
+def _in_pixels(polygons: Sequence[Floats], homography: Floats) -> list[Floats]:
+    pixels = np.concatenate(polygons) @ homography[:, :2].T + homography[:, 2]
+    ends = np.cumsum([len(polygon) for polygon in polygons])[:-1]
+    return np.split(pixels[:, :2] / pixels[:, 2:], ends)
 
 
 def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
     """Where a convex part (corners (n, 3), world frame) keeps the lamp's light from a face's plane: for each point of
     the lamp a convex polygon (n, 2) in the face's coordinates a and b; none where nothing of the part is between the
     plane and the light, or where the face is out of the shadow."""
-    normal = face.normal
-    heights = (corners - face.corner) @ normal
-    rays = _rays(lamp)
-    slopes = rays @ normal
-    if float(slopes.min()) <= 1e-3 or heights.max() <= LEAST_M:
+    away = corners - face.corner
+    heights = away @ face.normal
+    if heights.max() <= LEAST_M:
         return []
-    points = [corners[heights >= 0]]
-    below = corners[heights < 0]
-    if len(below):
-        # Of the segments between what is above and what is below, the hull keeps the part's edges.
-        over, under = heights[heights >= 0][:, None], heights[heights < 0][None, :]
-        share = (over / (over - under))[..., None]
-        points.append((points[0][:, None] + share * (below[None, :] - points[0][:, None])).reshape(-1, 3))
-    above = np.concatenate(points) - face.corner
     plane = np.stack((face.right / (face.right @ face.right), face.up / (face.up @ face.up)), axis=1)
-    fallen = (above @ plane)[None] - ((above @ normal) / slopes[:, None])[..., None] * (rays @ plane)[:, None]
+    rays = _rays(lamp)
+    slopes = rays @ face.normal
+    if slopes.min() <= _GRAZING:
+        return []
+    drift = (rays @ plane) / slopes[:, None]  # by how much a shadow moves for each metre that something is higher
+    places = away @ plane
+    # What is cut off by the plane lies between corners, and is not drifted.
+    fallen = places - np.maximum(heights, 0.0)[:, None] * drift[:, None]
     if (fallen.max(axis=(0, 1)) < 0).any() or (fallen.min(axis=(0, 1)) > 1).any():
         return []
-    return [cv2.convexHull(polygon)[:, 0].astype(np.float64) for polygon in fallen.astype(np.float32)]
+    if heights.min() < 0.0:
+        fallen = np.concatenate((fallen[:, heights >= 0], _cut(places, heights)), axis=1)
+    return [cv2.convexHull(polygon)[:, 0].astype(np.float64) for polygon in np.ascontiguousarray(fallen, np.float32)]
 
 
-def _fill(mask: Array, polygon: Sequence[tuple[float, float]]) -> None:
-    """Raise a mask to how far a convex polygon covers each pixel, 0 to 1; OpenCV's own filling reaches too far."""
-    xs, ys = zip(*polygon, strict=True)
-    left, right = max(floor(min(xs)) - 1, 0), min(ceil(max(xs)) + 2, mask.shape[1])
-    top, bottom = max(floor(min(ys)) - 1, 0), min(ceil(max(ys)) + 2, mask.shape[0])
-    if left >= right or top >= bottom:
-        return
+def _cut(places: Floats, heights: Floats) -> Floats:
+    """Where a plane cuts the lines between corners above and below it, of which the hull keeps a part's edges, by their
+    places (n, 2) in the plane: the same for each point of the lamp, (points, m, 2)."""
+    is_over = heights >= 0
+    over, under = heights[is_over][:, None], heights[~is_over][None, :]
+    share = (over / (over - under))[..., None]
+    above, below = places[is_over][:, None], places[~is_over][None, :]
+    cut = (above + share * (below - above)).reshape(-1, 2)
+    return np.broadcast_to(cut, (LAMP_POINTS, *cut.shape))
+
+
+def _fill(mask: Array, polygon: Floats) -> None:
+    """Raise a mask, uint8, to how far a convex polygon (n, 2) covers each pixel, 0 to `_FULL`."""
+    inner = _shrunk(polygon.tolist(), _REACH_PX)
+    if inner:
+        fixed = np.array([(_fixed(x), _fixed(y)) for x, y in inner], np.int32)
+        cv2.fillConvexPoly(mask, fixed, _FULL, cv2.LINE_AA, _SHIFT)
+
+
+def _fixed(place_px: float) -> int:
+    return round(min(max(place_px, -_FARTHEST_PX), _FARTHEST_PX) * (1 << _SHIFT))
+
+
+def _shrunk(polygon: Sequence[Sequence[float]], by_px: float) -> list[tuple[float, float]]:
+    """A convex polygon whose sides are so much farther in, but for very acute corners; without corners, where nothing
+    is left of it. It has so few that numpy would take five times as long."""
     sides = [(x, y, p - x, q - y) for (x, y), (p, q) in zip(polygon, (*polygon[1:], polygon[0]), strict=True)]
-    winding = copysign(1.0, sum(x * dy - y * dx for x, y, dx, dy in sides))
-    within = []  # by side, how far inside of it a pixel is: a constant, less a share of the column, plus one of the row
-    for x, y, dx, dy in sides:
-        length = winding * hypot(dx, dy)
-        if abs(length) > 1e-6:
-            dx, dy = dx / length, dy / length
-            within.append((x * dy - y * dx + 0.5, dy, dx))
-    if not within:
-        return
-    constant, by_column, by_row = np.array(within, np.float32).T[:, :, None]
-    along = constant - by_column * np.arange(left, right, dtype=np.float32)
-    down = by_row * np.arange(top, bottom, dtype=np.float32)
-    inside = along[0] + down[0][:, None]
-    other = np.empty_like(inside)
-    for columns, rows in zip(along[1:], down[1:], strict=True):
-        np.minimum(inside, np.add(columns, rows[:, None], out=other), out=inside)
-    np.minimum(inside, np.float32(1.0), out=inside)
-    window = mask[top:bottom, left:right]
-    np.maximum(window, inside, out=window)
+    units = [(x, y, dx / s, dy / s) for x, y, dx, dy in sides if (s := hypot(dx, dy)) > _LEAST_PX]
+    by_px = copysign(by_px, sum(x * dy - y * dx for x, y, dx, dy in sides))
+    inner: list[tuple[float, float]] = []
+    for (_, _, ex, ey), (x, y, dx, dy) in zip((*units[-1:], *units[:-1]), units, strict=True):
+        by = by_px / max(1.0 + ex * dx + ey * dy, _ACUTE)
+        inner.append((x - by * (ey + dy), y + by * (ex + dx)))
+    after = (*inner[1:], *inner[:1])
+    area = sum(x * q - y * p for (x, y), (p, q) in zip(inner, after, strict=True))
+    return inner if area * by_px > 0.0 else []
 
 
 @lru_cache(maxsize=16)

@@ -53,7 +53,8 @@ def drawn_face(face: Face, camera: Floats, intrinsics: Array, size: Size, sample
     a, b, nearness = ((row[0] * u)[None, :] + (row[1] * v + row[2])[:, None] for row in at.astype(np.float32))
     if not face.cells:
         least = np.minimum(a, b)
-        np.minimum(least, np.minimum(nearness - a, nearness - b), out=least)
+        for each in (a, b):
+            np.minimum(least, np.subtract(nearness, each, out=each), out=least)
         nearness *= least >= 0
         return Drawn(face, (left, top, right, bottom), nearness, at)
     inside = np.zeros(a.shape, bool)
@@ -109,8 +110,9 @@ def drawn(body: Thing, camera: Floats, intrinsics: Array, size: Size, samples: i
     """What of a body looks at the camera (world_from_camera; fx, fy, cx, cy in pixels) and may be in the picture
     (width, height), with so many samples per pixel along each axis."""
     curved, view = body.curved(), (camera, intrinsics, size, samples)
-    towards = [face for face in body.faces() if face.normal @ (camera[:3, 3] - face.corner) > 0]
-    found = [drawn_face(face, *view) for face in towards] + ([drawn_mesh(curved, *view)] if curved else [])
+    found = [drawn_face(face, *view) for face in body.facing(camera[:3, 3])] + (
+        [drawn_mesh(curved, *view)] if curved else []
+    )
     return [each for each in found if each is not None]
 
 

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import product
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Floats, transform
+from hierax.nodes.tracking.math.geometry import Floats, invert, transform
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 
 
@@ -24,8 +25,9 @@ class Face(NamedTuple):
     def normal(self) -> Floats:
         """Unit vector that points outwards."""
         (a, b, c), (x, y, z) = self.right.tolist(), self.up.tolist()
-        normal = np.array((b * z - c * y, c * x - a * z, a * y - b * x))  # to the bit np.cross, which takes far longer
-        return np.asarray(normal / np.linalg.norm(normal))
+        d, e, f = b * z - c * y, c * x - a * z, a * y - b * x  # to the bit np.cross, which takes far longer
+        length = sqrt(d * d + e * e + f * f)
+        return np.array((d / length, e / length, f / length))
 
     def moved(self, pose: Floats) -> "Face":
         """The same face in the frame that the pose leads to."""
@@ -59,6 +61,11 @@ class Thing(NamedTuple):
     def faces(self) -> list[Face]:
         """All sides."""
         return [face.moved(self.pose) for face in self.shape.sides]
+
+    def facing(self, viewpoint: Floats) -> list[Face]:
+        """The sides that look towards a point (3,)."""
+        own = transform(invert(self.pose), viewpoint)
+        return [side.moved(self.pose) for side in self.shape.sides if side.normal @ (own - side.corner) > 0]
 
     def parts(self) -> list[Floats]:
         """The corners (n, 3) of the convex parts that it consists of."""

@@ -33,7 +33,7 @@ from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.single import run
 
-SEED = 2
+SEED = 3
 FRAMES = 30
 TIMEOUT_S = 120.0
 

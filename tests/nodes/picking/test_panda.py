@@ -56,6 +56,14 @@ def test_all_of_the_table_is_reached(place: tuple[float, ...], yaw_deg: float) -
     assert np.all(joints <= HIGHEST_RAD)
 
 
+def test_what_is_as_near_as_asked_for_is_left_at_that() -> None:
+    wanted = gripper_down((0.5, 0.1, 0.2))
+    joints, off = joints_for(wanted, HOME_RAD, 60, 1e-3)
+    assert 1e-7 < off < 1e-3
+    again, _ = joints_for(wanted, joints, 60, 1e-3)
+    np.testing.assert_array_equal(again, joints)
+
+
 def test_what_is_out_of_reach_is_said_to_be() -> None:
     _, off = joints_for(gripper_down((1.2, 0.0, 0.1)), HOME_RAD, 100)
     assert off > 0.1

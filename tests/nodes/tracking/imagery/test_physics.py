@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from hierax.nodes.tracking.imagery import physics
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, HULL_DIRECTIONS, Motion, Simulator, Solid
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose, pose_error
 
@@ -115,3 +116,21 @@ def test_nothing_happens_in_no_time() -> None:
     motions = [resting(0.0, 0.5)]
     assert Simulator().run([box()], motions, 0.0) == motions
     assert Simulator().run([], [], 1.0) == []
+
+
+def test_a_world_that_was_used_long_is_emptied_and_goes_on_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of bodies that are gone pybullet keeps something, and all of their shapes: equal ones share one."""
+    monkeypatch.setattr(physics, "MADE_MOST", 7)
+    rng = np.random.default_rng(8)
+    directions = rng.standard_normal((50, 3))
+    ball = Solid(0.03 * directions / np.linalg.norm(directions, axis=1)[:, None], 0.2)
+    used, solids = Simulator(), [box(0.08), ball, box(0.08)]
+    motions = [resting(0.0, 0.04), resting(0.01, 0.15, yaw=0.6), resting(0.09, 0.05, (0.1, 0.0, 0.2, 1.0, 2.0, 0.0))]
+    for _ in range(12):
+        after = used.run(solids, motions, 1 / 30)
+        for mine, other in zip(after, Simulator().run(solids, motions, 1 / 30), strict=True):
+            assert mine.pose.tobytes() == other.pose.tobytes()
+            assert mine.velocity.tobytes() == other.velocity.tobytes()
+        motions = after
+        assert len(used._bullet.shapes) == 3  # box, ball and table
+        assert used._bullet.made <= 7 + len(solids)

@@ -131,7 +131,7 @@ def test_a_scene_out_of_sight_is_the_table_alone() -> None:
 
 @pytest.mark.parametrize("shape", [(1,), (7, 5), (12, 16, 3)])
 def test_noise_is_drawn_as_the_generator_draws_whole_numbers(shape: tuple[int, ...]) -> None:
-    drawn = np.random.default_rng(3).integers(0, QUANTILES, shape, np.uint16)
+    drawn = np.random.default_rng(3).integers(0, QUANTILES, shape, np.uint8)
     np.testing.assert_array_equal(drawn_quantiles(np.random.default_rng(3), shape), drawn)
 
 
@@ -148,20 +148,36 @@ def test_the_sensor_stays_within_its_range() -> None:
     np.testing.assert_array_equal(develop(ends, 0.0, 0.0, np.random.default_rng(1)), [[[0, 0, 255]]])
 
 
-def test_light_is_looked_for_where_something_may_be_in_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A face that looks away from the lamp, or that nothing rises over, asks for no shadow."""
-    asked: list[Face] = []
-
-    def counted(corners: Floats, face: Face, lamp: Lamp) -> list[Floats]:
-        asked.append(face)
-        return shadows(corners, face, lamp)
-
-    monkeypatch.setattr(sim_light, "shadows", counted)
-    draw(CUBES[:2], camera_at(0.3), INTRINSICS, SIZE)
-    assert asked
-    assert all(face.normal @ LAMP.direction > 0 for face in asked)
+def test_nothing_is_dark_where_nothing_is_in_the_way() -> None:
+    """A face that looks away from the lamp is in no shadow, nor one that nothing rises over, or all is beside."""
+    parts = [corners for each in CUBES for corners in each.parts()]
+    pixels, to_pixels = (50, 50), np.array([[50.0, 0.0, -0.5], [0.0, 50.0, -0.5], [0.0, 0.0, 1.0]])
+    away = [face for each in CUBES for face in each.faces() if face.normal @ LAMP.direction <= 0]
     highest = CUBES[1].faces()[5]
-    assert not any((face.corner == highest.corner).all() for face in asked)
+    beside = Face(np.array([1.0, 1.0, 0.0]), np.array([0.1, 0.0, 0.0]), np.array([0.0, 0.1, 0.0]))
+    assert away
+    for face in (*away, highest, beside):
+        assert shaded(face, parts, pixels, to_pixels)[2].size == 0
+    assert shaded(CUBES[0].faces()[5], parts, pixels, to_pixels)[2].size > 0
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.785, 1.2])
+def test_a_shadow_covers_as_much_as_its_polygon(turn: float) -> None:
+    """Also a thin one, wherever it is between pixels; and what is thinner than a pixel's edge covers nothing."""
+    corners = np.array([[-20.0, -9.0], [18.0, -11.0], [24.0, 8.0], [-6.0, 12.0]])
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    for size, place in product((1.0, 0.4), np.random.default_rng(4).uniform(29.0, 31.0, (6, 2))):
+        polygon = size * corners @ rotation.T + place
+        x, y = polygon.T
+        area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+        for way in (polygon, polygon[::-1]):
+            mask = np.zeros((60, 60), np.uint8)
+            sim_light._fill(mask, way)
+            assert mask.sum() / 255.0 == pytest.approx(area, rel=0.03 / size)
+    mask = np.zeros((60, 60), np.uint8)
+    for thin in ([[5.0, 5.0], [40.0, 5.0], [40.0, 5.4], [5.0, 5.4]], [[5.0, 5.0], [40.0, 30.0]], [[7.0, 7.0]]):
+        sim_light._fill(mask, np.array(thin))
+    assert not mask.any()
 
 
 def test_noise_is_normal_and_another_one_in_each_picture() -> None:
