@@ -8,7 +8,7 @@ import os
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from importlib import import_module
 from math import ceil
 from types import ModuleType
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Floats, make_pose, quaternion_of, rotation_of
+from hierax.nodes.tracking.math.geometry import Floats, cross, make_pose, quaternion_of, rotation_of
 
 STEP_S = 1.0 / 240.0
 MAX_STEPS = 480
@@ -58,7 +58,7 @@ class Solid:
         shrunk = np.maximum(self.half - HULL_MARGIN_M, 0.5 * self.half) / np.maximum(self.half, 1e-9)
         object.__setattr__(self, "hull", (hull - self.centre) * shrunk)
 
-    @property
+    @cached_property
     def is_box(self) -> bool:
         """Whether all vertices are corners of the bounding box."""
         return bool(np.allclose(np.abs(self.vertices - self.centre), self.half, atol=1e-6))
@@ -69,8 +69,7 @@ class Simulator:
 
     def __init__(self) -> None:
         self._bullet = Bullet()
-        self._step_s = 0.0  # for which the client is prepared
-        self._handles: list[int] = []
+        self._handles: list[int] | None = None  # of bodies on the table; None: not even that is there
 
     def run(
         self,
@@ -96,10 +95,10 @@ class Simulator:
 
     def _clear(self, step_s: float) -> None:
         """Have nothing there but the table: to begin anew takes far longer than to take away what is on it."""
-        if step_s != self._step_s or self._bullet.made > MADE_MOST:
+        if self._handles is None or self._bullet.made > MADE_MOST:
             prepare(self._bullet, step_s, [TABLE_HALF_M] * 3, 1.0)
-            self._step_s = step_s
             return
+        self._bullet.setPhysicsEngineParameter(fixedTimeStep=step_s)
         for handle in reversed(self._handles):  # so that numbers and places of those to come are the same again
             self._bullet.removeBody(handle)
 
@@ -110,7 +109,7 @@ class Simulator:
         offset = rotation @ solid.centre
         centre = make_pose(rotation, motion.pose[:3, 3] + offset)
         handle = create_body(bullet, shape, solid.mass, solid.friction, centre)
-        linear = motion.velocity[:3] + np.cross(motion.velocity[3:], offset)
+        linear = motion.velocity[:3] + _turned(motion.velocity[3:], offset)
         bullet.resetBaseVelocity(handle, linear.tolist(), motion.velocity[3:].tolist())
         return handle
 
@@ -129,7 +128,12 @@ class Simulator:
         linear, angular = (np.array(part) for part in self._bullet.getBaseVelocity(handle))
         offset = pose[:3, :3] @ solid.centre
         pose[:3, 3] -= offset
-        return Motion(pose, np.concatenate([linear - np.cross(angular, offset), angular]))
+        return Motion(pose, np.concatenate([linear - _turned(angular, offset), angular]))
+
+
+def _turned(angular: Floats, offset: Floats) -> Floats:
+    """By how much a point so far from the centre moves, m/s."""
+    return cross(angular[None], offset[None])[0]
 
 
 def support_points(vertices: Floats, count: int = HULL_DIRECTIONS) -> Floats:
