@@ -133,7 +133,7 @@ class Simulator:
 
 def _turned(angular: Floats, offset: Floats) -> Floats:
     """By how much a point so far from the centre moves, m/s."""
-    return cross(angular[None], offset[None])[0]
+    return np.asarray(cross(angular[None], offset[None])[0])
 
 
 def support_points(vertices: Floats, count: int = HULL_DIRECTIONS) -> Floats:
