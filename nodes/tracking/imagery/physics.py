@@ -86,7 +86,8 @@ class Simulator:
         steps = min(MAX_STEPS, max(1, ceil(duration_s / STEP_S - 1e-6)))
         step_s = duration_s / steps
         self._clear(step_s)
-        handles = self._handles = [self._create(solid, motion) for solid, motion in zip(solids, motions, strict=True)]
+        handles = [self._create(solid, motion) for solid, motion in zip(solids, motions, strict=True)]
+        self._handles = handles
         for _ in range(steps):
             for index, drive in (drives or {}).items():
                 self._draw_along(handles[index], solids[index], drive, step_s)
@@ -101,6 +102,7 @@ class Simulator:
         self._bullet.setPhysicsEngineParameter(fixedTimeStep=step_s)
         for handle in reversed(self._handles):  # so that numbers and places of those to come are the same again
             self._bullet.removeBody(handle)
+        self._handles = None
 
     def _create(self, solid: Solid, motion: Motion) -> int:
         bullet = self._bullet
@@ -152,9 +154,8 @@ class Bullet:
     _client: int | None = None
 
     def __init__(self) -> None:
-        self.shapes: dict[
-            tuple[str, bytes], int
-        ] = {}  # handles: pybullet keeps shapes when bodies are gone, so equal ones share one
+        # Handles by form: pybullet keeps shapes when bodies are gone, so equal ones share one.
+        self.shapes: dict[tuple[str, bytes], int] = {}
         self.made = 0  # bodies, since the world was empty; also of each of those that are gone it keeps something
 
     def __getattr__(self, name: str) -> Any:

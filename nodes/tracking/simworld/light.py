@@ -98,9 +98,11 @@ def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
         return []
     drift = (rays @ plane) / slopes[:, None]  # by how much a shadow moves for each metre that something is higher
     places = away @ plane
-    # What is cut off by the plane lies between corners, and is not drifted.
     fallen = places - np.maximum(heights, 0.0)[:, None] * drift[:, None]
-    if (fallen.max(axis=(0, 1)) < 0).any() or (fallen.min(axis=(0, 1)) > 1).any():
+    # What the plane cuts lies between places that have not drifted.
+    highest = np.maximum(fallen.max(axis=(0, 1)), places.max(axis=0))
+    lowest = np.minimum(fallen.min(axis=(0, 1)), places.min(axis=0))
+    if (highest < 0).any() or (lowest > 1).any():
         return []
     if heights.min() < 0.0:
         fallen = np.concatenate((fallen[:, heights >= 0], _cut(places, heights)), axis=1)

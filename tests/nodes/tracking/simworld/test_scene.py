@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import product
 
+import cv2
 import numpy as np
 import pytest
 
@@ -92,9 +93,7 @@ def test_a_shadow_lies_where_rays_to_the_lamp_are_blocked() -> None:
     table = Face(np.array([-0.5, -0.5, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     pixels = 200
     homography = np.array([[pixels, 0.0, -0.5], [0.0, pixels, -0.5], [0.0, 0.0, 1.0]])
-    bright, (left, top, right, bottom), shade = shaded(table, each.parts(), (pixels, pixels), homography)
-    light = np.full((pixels, pixels), bright, np.float32)
-    light[top:bottom, left:right] = shade
+    light = light_on(table, each.parts(), pixels, homography)
     place = (np.arange(pixels) + 0.5) / pixels - 0.5
     points = np.stack((*np.meshgrid(place, place), np.zeros((pixels, pixels))), axis=-1)
     to_object = invert(each.pose)
@@ -159,6 +158,32 @@ def test_nothing_is_dark_where_nothing_is_in_the_way() -> None:
     for face in (*away, highest, beside):
         assert shaded(face, parts, pixels, to_pixels)[2].size == 0
     assert shaded(CUBES[0].faces()[5], parts, pixels, to_pixels)[2].size > 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_face_is_out_of_all_shadows_that_do_not_reach_it(seed: int) -> None:
+    """Also where a cube sticks through its plane, askew."""
+    rng, said = np.random.default_rng(seed), 0
+    table = Face(np.array([-0.3, -0.3, 0.0]), np.array([0.6, 0.0, 0.0]), np.array([0.0, 0.6, 0.0]))
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    for _ in range(20):
+        pose = make_pose(exp_so3(rng.normal(size=3)), np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-0.05, 0.05)]))
+        (corners,) = Thing(pose, cube(0.08), (200, 40, 40)).parts()
+        whole = shadows(corners, table)
+        for a, b in rng.uniform(0.0, 0.95, (200, 2)) if whole else ():
+            part = Face(table.corner + a * table.right + b * table.up, 0.05 * table.right, 0.05 * table.up)
+            if not shadows(corners, part):
+                shares = [((each - (a, b)) / 0.05).astype(np.float32) for each in whole]
+                assert max(cv2.intersectConvexConvex(each, square)[0] for each in shares) < 1e-3, f"seed {seed}"
+                said += 1
+    assert said > 100
+
+
+def light_on(face: Face, parts: list[Floats], pixels: int, homography: Floats) -> Array:
+    bright, (left, top, right, bottom), shade = shaded(face, parts, (pixels, pixels), homography)
+    light = np.full((pixels, pixels), bright, np.float32)
+    light[top:bottom, left:right] = shade
+    return light
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, 0.785, 1.2])
