@@ -99,7 +99,7 @@ def test_the_simulated_world_has_no_tag_and_a_folder_without_one_is_told(tmp_pat
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene of three objects, with a drifting camera, and a tag that lies on its table."""
     out = tmp_path_factory.mktemp("tagged")
-    scene = write_scene(out, "scattered", 2, FRAMES, False, 3)
+    scene = write_scene(out, "scattered", 5, FRAMES, False, 3)
     cameras = json.loads((out / "truth" / "000001" / "scene_camera.json").read_text())
     world_from_tag = make_pose(exp_so3(np.array([0.0, 0.0, 0.4])), np.array([-0.07, -0.08, 0.0]))
     rng = np.random.default_rng(SEED)
