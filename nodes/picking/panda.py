@@ -58,11 +58,12 @@ def joints_for(gripper: Floats, start: Floats, iterations: int = 60, near: float
     joints = np.array(start, dtype=np.float64)
     for _ in range(iterations):
         error, jacobian = _error(gripper, joints)
-        if np.abs(error).max() < near:
+        off = np.abs(error).max()
+        if off < near:
             break
         wished = _POSTURE * (REST_RAD - joints)
         step = wished + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPED, error - jacobian @ wished)
-        if np.abs(error).max() < _NEAR and np.abs(step).max() < _NEAR:
+        if off < _NEAR and np.abs(step).max() < _NEAR:
             break
         step *= min(1.0, _SUM_MAX / max(sqrt(step @ step), 1e-12))
         joints = np.minimum(np.maximum(joints + step, LOWEST_RAD), HIGHEST_RAD)

@@ -23,13 +23,13 @@ import pybullet_data
 from hierax.nodes.picking.panda import JOINTS, TORQUES_NM
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.imagery.physics import (
-    MADE_MOST,
     Bullet,
     box_shape,
     create_body,
     place_of,
     pose_of,
     prepare,
+    remove_bodies,
 )
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 
@@ -132,10 +132,10 @@ class Workcell:
     ) -> tuple[Arm, list[Cube], list[Touch], Guest | None]:
         """Let the arm follow an order, somebody's hand go its way, and things fall, slide and be held, for so many
         steps of `STEP_S`: how arm, cubes and hand are afterwards, and what each cube then touches."""
-        if self._robot is None or guest is not None or self.bullet.made > MADE_MOST:
+        if self._robot is None or guest is not None or self.bullet.is_worn:
             self._robot = self._create_arm()
         robot = self._robot
-        self._clear()
+        remove_bodies(self.bullet, self._handles)
         self._place_arm(robot, arm)
         handles = self._handles = [self._create_cube(cube) for cube in cubes]
         hand = None if guest is None else self._create_guest(guest, handles)
@@ -167,11 +167,6 @@ class Workcell:
             bullet.changeDynamics(robot, joint, lateralFriction=FINGER_FRICTION, **plain)
         self._foot = bullet.getBasePositionAndOrientation(robot)
         return robot
-
-    def _clear(self) -> None:
-        """Have nothing there but the table and the arm."""
-        for handle in reversed(self._handles):  # so that numbers and places of those to come are the same again
-            self.bullet.removeBody(handle)
 
     def _place_arm(self, robot: int, arm: Arm) -> None:
         """Put the arm where it is, as if it had not been anywhere.

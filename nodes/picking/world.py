@@ -28,7 +28,7 @@ HELD_S = 2.0
 _ENOUGH_S = 2.5
 # From frame to frame the arm moves a little: so few steps bring its gripper where it should be; its posture follows.
 _ITERATIONS = 12
-_NEAR = 1e-5  # metres or radians
+_NEAR = 1e-5  # metres or radians: a setpoint that is reached so nearly needs no further step
 _ASTRAY = 0.02  # metres or radians: farther from where it should come the arm does not go
 _WIDE_RAD = 1.0  # what turns less comes from no side of the wrist's end to the other
 _TURN_RAD_S = 1.5  # so fast the joint turns that has the longest way, where the arm does not go straight

@@ -96,12 +96,11 @@ class Simulator:
 
     def _clear(self, step_s: float) -> None:
         """Have nothing there but the table: to begin anew takes far longer than to take away what is on it."""
-        if self._handles is None or self._bullet.made > MADE_MOST:
+        if self._handles is None or self._bullet.is_worn:
             prepare(self._bullet, step_s, [TABLE_HALF_M] * 3, 1.0)
             return
         self._bullet.setPhysicsEngineParameter(fixedTimeStep=step_s)
-        for handle in reversed(self._handles):  # so that numbers and places of those to come are the same again
-            self._bullet.removeBody(handle)
+        remove_bodies(self._bullet, self._handles)
         self._handles = None
 
     def _create(self, solid: Solid, motion: Motion) -> int:
@@ -156,7 +155,12 @@ class Bullet:
     def __init__(self) -> None:
         # Handles by form: pybullet keeps shapes when bodies are gone, so equal ones share one.
         self.shapes: dict[tuple[str, bytes], int] = {}
-        self.made = 0  # bodies, since the world was empty; also of each of those that are gone it keeps something
+        self.made = 0  # bodies, since the world was empty
+
+    @property
+    def is_worn(self) -> bool:
+        """Whether its world is to be emptied, as too much is kept of bodies that are gone."""
+        return self.made > MADE_MOST
 
     def __getattr__(self, name: str) -> Any:
         pybullet = _loaded()
@@ -220,6 +224,12 @@ def create_body(bullet: Bullet, shape: int, mass: float, friction: float, pose: 
     handle = int(bullet.createMultiBody(mass, shape, -1, *place_of(pose)))
     bullet.changeDynamics(handle, -1, lateralFriction=friction, restitution=0.0)
     return handle
+
+
+def remove_bodies(bullet: Bullet, handles: Sequence[int]) -> None:
+    """Take bodies away, the last one first: numbers and places of those to come are then the same again."""
+    for handle in reversed(handles):
+        bullet.removeBody(handle)
 
 
 def place_of(pose: Floats) -> tuple[list[float], list[float]]:

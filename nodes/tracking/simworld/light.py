@@ -91,11 +91,11 @@ def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
     heights = away @ face.normal
     if heights.max() <= LEAST_M:
         return []
-    plane = np.stack((face.right / (face.right @ face.right), face.up / (face.up @ face.up)), axis=1)
     rays = _rays(lamp)
     slopes = rays @ face.normal
     if slopes.min() <= _GRAZING:
         return []
+    plane = np.stack((face.right / (face.right @ face.right), face.up / (face.up @ face.up)), axis=1)
     drift = (rays @ plane) / slopes[:, None]  # by how much a shadow moves for each metre that something is higher
     places = away @ plane
     fallen = places - np.maximum(heights, 0.0)[:, None] * drift[:, None]

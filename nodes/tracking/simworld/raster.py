@@ -110,9 +110,9 @@ def drawn(body: Thing, camera: Floats, intrinsics: Array, size: Size, samples: i
     """What of a body looks at the camera (world_from_camera; fx, fy, cx, cy in pixels) and may be in the picture
     (width, height), with so many samples per pixel along each axis."""
     curved, view = body.curved(), (camera, intrinsics, size, samples)
-    found = [drawn_face(face, *view) for face in body.facing(camera[:3, 3])] + (
-        [drawn_mesh(curved, *view)] if curved else []
-    )
+    found = [drawn_face(face, *view) for face in body.facing(camera[:3, 3])]
+    if curved:
+        found.append(drawn_mesh(curved, *view))
     return [each for each in found if each is not None]
 
 

@@ -10,6 +10,7 @@ import pytest
 from hierax.nodes.picking import workcell
 from hierax.nodes.picking.panda import HOME_RAD, gripper_at, gripper_down, joints_for
 from hierax.nodes.picking.workcell import Arm, Cube, Grip, Guest, Order, Touch, Workcell
+from hierax.nodes.tracking.imagery import physics
 from hierax.nodes.tracking.math.geometry import Floats, invert, make_pose, pose_error
 
 SIDE_M = 0.045
@@ -123,7 +124,7 @@ def beside_cubes(rng: np.random.Generator) -> Situation:
 @pytest.mark.parametrize("seed", range(3))
 def test_what_was_before_does_not_matter(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor where the client is emptied now and then, as what is gone adds up."""
-    monkeypatch.setattr(workcell, "MADE_MOST", 20)
+    monkeypatch.setattr(physics, "MADE_MOST", 20)
     rng, cell = np.random.default_rng(seed), Workcell()
     for turn in range(12):
         arm, cubes, order, guest = beside_cubes(rng)
