@@ -105,12 +105,22 @@ ros2: $(ROS)
 
 # docs/tower.md: 20 scenes for each builder and interference, five of each launched, too, and three with kills; eight hours;
 # but for the kills it goes on where it was ended
-TOWERS := --jobs 2 --launched 5 --keep towers.jsonl
+TOWERS := --jobs 2 --keep towers.jsonl
 .PHONY: towers
 towers: $(INSTALLED)
-	status=0; for cell in "--builder reactive,planner" "--person every,random" "--set cubes=6 --set tower=[[3,1,4],[2,5,6]]"; do \
-		$(BIN)/python benchmarks/tower.py $(TOWERS) $$cell || status=1; done; \
+	status=0; for cell in "--builder reactive,planner" "--person every --least 18" "--person random --least 17" \
+		"--least 18 --set cubes=6 --set tower=[[3,1,4],[2,5,6]]"; do \
+		$(BIN)/python benchmarks/tower.py $(TOWERS) --launched 5 $$cell || status=1; done; \
 		$(BIN)/python benchmarks/tower_changes.py || status=1; exit $$status
+
+# docs/tower.md: what becomes of towers without what comes down, and without looking; some three hours
+.PHONY: towers-without
+towers-without: $(INSTALLED)
+	for cell in "--builder open_loop --person none,knock,random" "--person knock --without builder" "--person knock --without skills" \
+		"--person knock --without others" "--person knock --without spatial"; do \
+		$(BIN)/python benchmarks/tower.py $(TOWERS) --least 0 $$cell || exit 1; done
+	for without in builder skills others; do $(BIN)/python benchmarks/tower_errors.py --without $$without || exit 1; done
+	$(BIN)/python benchmarks/tower_errors.py
 
 # docs/changing.md: 200 changes each of three hierarchies that run; some ten minutes
 changes: $(INSTALLED)

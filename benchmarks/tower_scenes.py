@@ -13,25 +13,31 @@ import numpy as np
 from hierax.nodes.picking.layout import planned
 from hierax.nodes.tower.goals import Towers, read_towers
 from hierax.nodes.tower.interferences import ACTS
-from hierax.nodes.tower.rules import TABLE, wish_of
-from hierax.nodes.tower.symbols import Symbols
+from hierax.nodes.tower.planner import planned as shortest_plan
 from hierax.nodes.tower.world import NONE
+from hierax.nodes.tracking.schema import TABLE
 from hierax.runtime.deployment.tree import read_tree
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 DEFAULTS = {"cubes": "4", "tower": "[1, 3, 4, 2]", "person": NONE, "pictures": "100000"}
 RANDOM, THREE = "random", 3
+_BUILDER, _SKILLS, _SPATIAL = (
+    f"edges.{edge}.context" for edge in ("skills -> builder", "spatial -> skills", "arm -> spatial")
+)
+_ALONE = "{function: hierax.nodes.tracking.render:SegmentedDepth, parameters: {occlusion: false}}"
 CONTEXTS = {
-    "skills": ("edges.spatial -> skills.context", "edges.skills -> builder.context"),
-    "builder": ("edges.skills -> builder.context",),
-    "spatial": ("edges.arm -> spatial.context",),
+    "skills": {_SKILLS: "null", _BUILDER: "null"},
+    "builder": {_BUILDER: "null"},
+    "spatial": {_SPATIAL: "null"},
+    "others": {_SPATIAL: _ALONE},
 }
-"""By the node without whose context it is tried, and those above it: what is left out of the deployment."""
+"""What is set where a context is left out: by the node that it comes from, and those above it; or ``others``: each cube
+is expected to be seen as if it were alone."""
 
 
 def settings(given: Mapping[str, str], scene: int, without: str | None = None) -> dict[str, str]:
     """What is set in a scene, PATH: VALUE; of what is not given there are `DEFAULTS`."""
-    all_given = {**DEFAULTS, **given, **dict.fromkeys(CONTEXTS.get(without or "", ()), "null")}
+    all_given = {**DEFAULTS, **given, **CONTEXTS.get(without or "", {})}
     acts = interferences(all_given["person"], scene)
     return {**all_given, "person": json.dumps(acts[0] if len(acts) == 1 else acts), "scene": str(scene)}
 
@@ -66,15 +72,7 @@ def towers_of(set_to: Mapping[str, str]) -> Towers:
 
 
 def least_moves(set_to: Mapping[str, str]) -> int:
-    """How many moves the rules take from how a scene is laid out, if each succeeds and nobody interferes."""
-    towers = towers_of(set_to)
-    blocks = {place.id: place.below for place in planned(int(set_to["scene"]), int(set_to["cubes"]))}
-    moves = 0
-    while True:
-        on = tuple(sorted((upper, lower) for upper, lower in blocks.items() if lower != TABLE))
-        table = tuple(sorted(cube for cube, lower in blocks.items() if lower == TABLE))
-        wish = wish_of(towers, Symbols(on, table, (), None, {}))
-        if wish.cube is None:
-            return moves
-        blocks[wish.cube] = wish.onto
-        moves += 1
+    """How many moves the shortest plan has from how a scene is laid out, which all succeed while nobody interferes.
+    Raises ValueError: what plans is not there."""
+    blocks = {place.id: place.below or TABLE for place in planned(int(set_to["scene"]), int(set_to["cubes"]))}
+    return len(shortest_plan(towers_of(set_to), blocks) or ())

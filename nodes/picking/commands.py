@@ -37,32 +37,33 @@ def name_of(tasks: Elements) -> str:
     return " ".join((MOVE, *(repr(float(number)) for number in numbers)))
 
 
-class Commanded(Mapping[str, Policy]):
-    """Π: ``default``, which does nothing, and for every command the policy whose action is the command; turned:
-    from the command and the belief, what is to be done instead."""
+class Named(Mapping[str, Policy]):
+    """Π: ``default`` and, for each name that can be read, the policy that it stands for; read: gives it, or raises
+    ValueError."""
 
-    def __init__(self, turned: Callable[[Command, Value], Command] | None = None) -> None:
-        self._turned = turned
+    def __init__(self, read: Callable[[str], Policy]) -> None:
+        self._read = read
 
     def __getitem__(self, name: str) -> Policy:
-        if name == REST:
-            return do_nothing
-        order, *words = name.split(" ")
-        if order != MOVE or len(words) != _NUMBERS:
-            raise KeyError(name)
         try:
-            numbers = np.array([float(word) for word in words])
+            return self._read(name)
         except ValueError:
             raise KeyError(name) from None
-        wanted = command(make_pose(rotation_of(numbers[3:7]), numbers[:3]), numbers[7], numbers[8])
-        turned = self._turned
-        return lambda belief: (wanted if turned is None else turned(wanted, belief),)
 
     def __iter__(self) -> Iterator[str]:
         return iter((REST,))
 
     def __len__(self) -> int:
         return 1
+
+
+def command_of(name: str) -> Command:
+    """The command that a policy's name holds. Raises ValueError: it holds none."""
+    order, *words = name.split(" ")
+    if order != MOVE or len(words) != _NUMBERS:
+        raise ValueError(f"no policy has the name {name!r}")
+    numbers = np.array([float(word) for word in words])
+    return command(make_pose(rotation_of(numbers[3:7]), numbers[:3]), numbers[7], numbers[8])
 
 
 class CommandedNode(Node):
@@ -73,8 +74,14 @@ class CommandedNode(Node):
         return name_of(tasks)
 
     def policies(self) -> Mapping[str, Policy]:
-        """Π: for every command, its execution."""
-        return Commanded(self.carried_out)
+        """Π: for every command, its execution; ``default`` does nothing."""
+        return Named(self._policy)
+
+    def _policy(self, name: str) -> Policy:
+        if name == REST:
+            return do_nothing
+        wanted = command_of(name)
+        return lambda belief: (self.carried_out(wanted, belief),)
 
     def carried_out(self, wanted: Command, belief: Value) -> Command:
         """The action by which a command is carried out."""

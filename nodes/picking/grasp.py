@@ -29,6 +29,7 @@ from hierax.nodes.picking.phases import (
     unless_late,
 )
 from hierax.nodes.picking.planning import OPENING_M, before, choose
+from hierax.nodes.picking.tracker import scene_of
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
 from hierax.runtime.core.node import Policy
@@ -68,8 +69,7 @@ class GraspNode(Node):
         """τ: the scene as `hierax.nodes.picking.tracker.scene_known` tells it, and the phase that follows."""
         if not observations:
             return belief
-        bodies = tuple(item for item in observations if "pose" in item)
-        hand = next(item["hand"] for item in observations if "hand" in item)
+        bodies, hand, _ = scene_of(observations)
         seen = {**belief, "bodies": bodies, "hand": hand}
         return getattr(self, f"_after_{seen['phase']}")(seen, tick.time_s)
 

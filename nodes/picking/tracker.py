@@ -3,13 +3,14 @@
 Both do what they do in `hierax.nodes.tracking`, and two things more: what the arm feels of its hand goes up through
 them, and the grasp node's commands go down."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hierax.nodes.picking.commands import Command, CommandedNode
 from hierax.nodes.picking.layout import CUBES, TABLE_MIDDLE_M, guessed, planned
 from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of, gripper_at
+from hierax.nodes.picking.straight import along, length_m
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.model.mesh import box_mesh
@@ -70,13 +71,16 @@ class PickSpatial(CommandedNode, SpatialNode):
         return {**sensed, "hand": hands[0], "hand_before": belief["hand"]} if hands else sensed
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        """γ of `SpatialNode`, but for the cube that the grasp node says is held, {"held": id of a cube, or None}: it
-        goes on as the hand went."""
+        """γ of `SpatialNode`, but for the cube that the grasp node says is held, {"held": id of a cube, or None}: with
+        the hand it goes on to where the command has that come, as fast as it went."""
         predicted = super().predict((), (), belief)
         held = context[0]["held"] if context else None
         if held is None or belief["hand_before"] is None:
             return predicted
-        moved = belief["hand"]["gripper"] @ invert(belief["hand_before"]["gripper"])
+        now, before = (belief[name]["gripper"] for name in ("hand", "hand_before"))
+        moved = now @ invert(before)
+        if actions:
+            moved = along(now, actions[0]["gripper"], length_m(before, now)) @ invert(now)
         seen = {body["id"]: body["pose"] for body in belief["bodies"]}
         bodies = tuple(
             {**body, "pose": moved @ seen[held], "velocity": np.zeros(6)} if body["id"] == held else body
@@ -125,7 +129,8 @@ def poses_and_hand_seen(belief: Value) -> Elements:
 
 def scene_known(belief: Value) -> Elements:
     """φ of the spatial node: of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m,
-    "covariance", "status"}, then {"hand"}; none before the first observation."""
+    "covariance", "status"}, then {"hand", "carried": who is carried by whom, by the physics of the imagination, as in
+    `SpatialBelief`}; none before the first observation."""
     if belief["hand"] is None:
         return ()
     boxes = []
@@ -136,4 +141,18 @@ def scene_known(belief: Value) -> Elements:
         pose[:3, 3] += pose[:3, :3] @ ((low + high) / 2)
         known = {"covariance": body["covariance"], "status": body["status"]}
         boxes.append({"id": body["id"], "pose": pose, "size": high - low, **known})
-    return (*boxes, {"hand": belief["hand"]})
+    return (*boxes, {"hand": belief["hand"], "carried": belief["carried"]})
+
+
+class Scene(NamedTuple):
+    """What `scene_known` tells."""
+
+    bodies: tuple[Value, ...]
+    hand: Value
+    carried: tuple[tuple[int, int], ...]
+
+
+def scene_of(observations: Elements) -> Scene:
+    """What a node is told of the scene from below."""
+    rest = next(item for item in observations if "hand" in item)
+    return Scene(tuple(item for item in observations if "pose" in item), rest["hand"], rest["carried"])

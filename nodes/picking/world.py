@@ -9,9 +9,10 @@ from hierax.nodes.picking.commands import CommandedNode
 from hierax.nodes.picking.display import truth_things
 from hierax.nodes.picking.layout import CUBES, disturbed, planned
 from hierax.nodes.picking.panda import FOCAL_LENGTH, HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
+from hierax.nodes.picking.straight import along, length_m
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Guest, Order, Touch, Workcell
 from hierax.nodes.tracking.errors import check_between
-from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
+from hierax.nodes.tracking.math.geometry import Floats, log_so3
 from hierax.nodes.tracking.simworld.shapes import Thing, box
 from hierax.nodes.tracking.simworld.world import check_pictures, picture_of
 from hierax.runtime import NO_TICK, Elements, Step, Tick, Value, World
@@ -32,7 +33,6 @@ _NEAR = 1e-5  # metres or radians: a setpoint that is reached so nearly needs no
 _ASTRAY = 0.02  # metres or radians: farther from where it should come the arm does not go
 _WIDE_RAD = 1.0  # what turns less comes from no side of the wrist's end to the other
 _TURN_RAD_S = 1.5  # so fast the joint turns that has the longest way, where the arm does not go straight
-_TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 _TRUTH = 3
 
 
@@ -169,17 +169,12 @@ def _advanced(
 ) -> tuple[Floats, float]:
     """The setpoint an interval later, on its way to the wanted pose, and its speed, m/s."""
     goal = wanted["gripper"]
-    shift = goal[:3, 3] - setpoint[:3, 3]
-    turn = log_so3(goal[:3, :3] @ setpoint[:3, :3].T)
-    left = max(float(np.linalg.norm(shift)), _TURN_M_RAD * float(np.linalg.norm(turn)))
+    left = length_m(setpoint, goal)
     change = acceleration_m_s2 * interval_s
     # As fast as lets it still stop in time, at this braking and these intervals.
     stopping = float(np.sqrt(2.0 * acceleration_m_s2 * left + change**2 / 4)) - change / 2
     pace = max(min(pace + change, wanted["speed"], stopping), 0.0)
-    if left <= pace * interval_s or left < 1e-6:
-        return goal, pace
-    part = pace * interval_s / left
-    return make_pose(exp_so3(part * turn) @ setpoint[:3, :3], setpoint[:3, 3] + part * shift), pace
+    return along(setpoint, goal, pace * interval_s), pace
 
 
 def _detour(goal: Floats, belief: Value, blocked: bool, interval_s: float) -> Floats | None:

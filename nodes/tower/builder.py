@@ -8,15 +8,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from hierax.nodes.picking.layout import CUBES
-from hierax.nodes.picking.phases import WATCH
+from hierax.nodes.picking.tracker import scene_of
 from hierax.nodes.tower.display import builder_things
 from hierax.nodes.tower.goals import read_towers
-from hierax.nodes.tower.rules import NO_PLAN, TABLE, Plan, Wish, height_of, is_done, order_of, wish_of
+from hierax.nodes.tower.rules import NO_PLAN, Plan, Wish, height_of, is_done, order_of, wish_of
 from hierax.nodes.tower.skills import SkillsNode
-from hierax.nodes.tower.symbols import NOTHING, Symbols, symbols_after
+from hierax.nodes.tower.symbols import NOTHING, Symbols, Told, symbols_after
+from hierax.nodes.tower.tasks import task_of
 from hierax.runtime import Elements, Node, Step, Value
 from hierax.runtime.core.node import Policy
 from hierax.runtime.core.showing import Things
+
+_BY_SYMBOL = ("certainty", "doubts")  # maps of `Symbols`
 
 
 class Builder(Node):
@@ -49,11 +52,11 @@ class Builder(Node):
         """The belief of whichever builder was there before. Its maps by symbol have other keys from scene to scene.
 
         Raises ValueError: it is no builder's belief."""
-        known = self.initial_belief()
-        given = {**belief, "symbols": known["symbols"]} if isinstance(belief, dict) and "symbols" in belief else belief
+        given = belief
+        if isinstance(belief, dict) and isinstance(belief.get("symbols"), dict):
+            maps: Value = {name: {} for name in _BY_SYMBOL if isinstance(belief["symbols"].get(name), dict)}
+            given = {**belief, "symbols": {**belief["symbols"], **maps}}
         super().take_over(given)
-        if belief["symbols"].keys() != known["symbols"].keys():
-            raise ValueError(f"belief.symbols: expected the keys {sorted(known['symbols'])}")
         return belief
 
     def observe(self, observations: Elements, belief: Value) -> Value:
@@ -61,10 +64,10 @@ class Builder(Node):
         wished for by them."""
         if not observations:
             return belief
-        bodies = tuple(item for item in observations if "pose" in item)
+        bodies, hand, carried = scene_of(observations)
         skill = next(item["skill"] for item in observations if "skill" in item)
-        looking = skill["phase"] == WATCH
-        symbols = symbols_after(Symbols(**belief["symbols"]), bodies, skill["holding"], looking)
+        told = Told(bodies, carried, skill["holding"], hand["gripper"], hand["width"], skill["looks"])
+        symbols = symbols_after(Symbols(**belief["symbols"]), told)
         wish, plan = self.decided(symbols, skill, belief)
         return {"symbols": symbols._asdict(), **wish._asdict(), **plan._asdict()}
 
@@ -112,9 +115,8 @@ def skills_for(builder: str) -> SkillsNode:
 
 
 def wished(belief: Value) -> Elements:
-    """The one action: what is to be moved where, {"cube": id, "onto": id, or 0 for the table}; none where there is
-    nothing to be done."""
-    return () if belief["cube"] is None else ({"cube": belief["cube"], "onto": belief["onto"] or TABLE},)
+    """The one action, a task as `hierax.nodes.tower.tasks` has it; none where there is nothing to be done."""
+    return () if belief["cube"] is None else (task_of(belief["cube"], belief["onto"]),)
 
 
 def what_stands(belief: Value) -> Elements:

@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
+from hierax.nodes.picking.commands import REST
 from hierax.nodes.picking.display import gripper_lines
+from hierax.nodes.tower.doing import DOING, doing
 from hierax.nodes.tower.goals import Tower, Towers
-from hierax.nodes.tower.rules import TABLE, height_of, order_of
+from hierax.nodes.tower.rules import height_of, order_of
 from hierax.nodes.tower.symbols import Symbols
+from hierax.nodes.tower.tasks import is_look
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.runtime import Value
 from hierax.runtime.core import showing
@@ -30,7 +33,7 @@ def builder_things(belief: Value, towers: Towers, cubes: Sequence[int]) -> dict[
         f"certainty/{symbol}": showing.Curve(chance, showing.colour_of(int(symbol.split()[1])))
         for symbol, chance in symbols.certainty.items()
     }
-    return {"towers": _graph(symbols, cubes), "why": _why(belief, symbols, towers), **curves}
+    return {"towers": _graph(symbols, cubes), "why": _why(belief, symbols, towers, cubes), **curves}
 
 
 def skill_things(belief: Value, time_s: float) -> dict[str, showing.Thing]:
@@ -76,26 +79,27 @@ def _text(name: str, edges: Sequence[tuple[str, str]], symbols: Symbols) -> str:
     return name if chance is None else f"{name}\n{chance:.2f}"
 
 
-def _why(belief: Value, symbols: Symbols, towers: Towers) -> str:
+def _why(belief: Value, symbols: Symbols, towers: Towers, cubes: Sequence[int]) -> str:
     """The wish, the plan, and the symbols, as Markdown."""
     wish = "" if belief["cube"] is None else f": {_move(belief['cube'], belief['onto'])}"
     lines = [f"**{belief['rule']}**{wish}"]
     if belief["plan"]:
         lines.append("plan: " + ", ".join(_move(*step) for step in belief["plan"]))
     lines += [_progress(tower, symbols) for tower in towers]
-    lines += ["| symbol | holds | probability |\n| --- | --- | --- |\n" + "\n".join(_rows(symbols))]
+    lines += ["| symbol | holds | probability |\n| --- | --- | --- |\n" + "\n".join(_rows(symbols, cubes))]
     return "\n\n".join(lines)
 
 
-def _rows(symbols: Symbols) -> list[str]:
+def _rows(symbols: Symbols, cubes: Sequence[int]) -> list[str]:
     """A row for each symbol that holds, or might."""
     known = {f"on {upper} {lower}" for upper, lower in symbols.on} | {f"on_table {cube}" for cube in symbols.on_table}
-    rows = [
+    known |= {f"clear {cube}" for cube in cubes if cube not in symbols.unknown and symbols.is_clear(cube)}
+    known |= {f"unknown {cube}" for cube in symbols.unknown}
+    known |= set() if symbols.holding is None else {f"holding {symbols.holding}"}
+    return [
         f"| {name} | {'yes' if name in known else 'no'} | {_chance(name, symbols)} |"
         for name in sorted(known | symbols.certainty.keys())
     ]
-    rows += [f"| unknown {cube} | yes | |" for cube in symbols.unknown]
-    return rows if symbols.holding is None else [*rows, f"| holding {symbols.holding} | yes | |"]
 
 
 def _chance(name: str, symbols: Symbols) -> str:
@@ -108,16 +112,18 @@ def _progress(tower: Tower, symbols: Symbols) -> str:
 
 
 def _move(cube: int, onto: int) -> str:
-    """A move in words; onto below 0: no move, but a look for the cube."""
-    if onto < TABLE:
+    """A move, or a look for a cube, in words."""
+    if is_look((cube, onto)):
         return f"look for {cube}"
     return f"{cube} onto {onto or 'the table'}"
 
 
 def _skill(belief: Value, time_s: float) -> str:
-    goal, asked = belief["goal"], belief["asked"]
-    lines = [f"**{belief['phase']}** for {time_s - belief['since_s']:.1f} s"]
-    lines.append("nothing to do" if goal is None else f"doing: {_move(*goal)}")
+    goal, asked, now = belief["goal"], belief["asked"], doing(belief)
+    what = "nothing to do" if now["skill"] == REST else f"{now['skill']} {now['cube'] or ''}".strip()
+    how = "" if now["status"] == DOING else f", {now['status']}"
+    lines = [f"**{what}**{how}", f"{belief['phase']} for {time_s - belief['since_s']:.1f} s"]
+    lines += [] if goal is None else [f"for: {_move(*goal)}"]
     if asked != goal:
         lines.append("asked for: " + ("nothing" if asked is None else _move(*asked)))
     if belief["refused"] is not None:

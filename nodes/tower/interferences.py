@@ -35,6 +35,7 @@ class Stop(NamedTuple):
     onward: bool = False  # from where the stop before has brought it
     unless_near: int = 0  # the cube from which it draws back if the gripper comes near; 0: none
     counts: bool = True  # whether the interference has happened when this, the last stop, is over
+    brings: int = 0  # the cube that is brought back in place of this stop, to where there is room by then; 0: none
 
 
 class Scene(NamedTuple):
@@ -161,14 +162,22 @@ def _remove(scene: Scene) -> list[Stop] | None:
     number = _wanted_idle(scene)
     if number is None:
         return None
-    body, place = scene.bodies[number], scene.spot(number)
-    taken, left = _upon(body), _upon(body, place)
+    taken = _upon(scene.bodies[number])
     away = HOME_M * (1.0, np.sign(taken[1]) or 1.0, 1.0)
     return [
         *_taken(number, taken),
         Stop(_over(taken, 0.2), 0.3, number),
         Stop(away, FAST_M_S, number, dwell_s=float(scene.rng.uniform(*AWAY_S))),
-        *(Stop(_over(left, 0.2), FAST_M_S, number), Stop(_over(left, 0.001), 0.15, number, dwell_s=0.2)),
+        Stop(away, FAST_M_S, number, brings=number),
+    ]
+
+
+def brought(scene: Scene, number: int) -> list[Stop]:
+    """Put a cube that was away down on the table."""
+    left = _upon(scene.bodies[number], scene.spot(number))
+    return [
+        Stop(_over(left, 0.2), FAST_M_S, number),
+        Stop(_over(left, 0.001), 0.15, number, dwell_s=0.2),
         Stop(_over(left), 0.2),
     ]
 

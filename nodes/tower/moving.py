@@ -32,9 +32,9 @@ from hierax.nodes.picking.phases import (
 from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
 from hierax.nodes.tower.reaching import Reach, reach
-from hierax.nodes.tower.rules import TABLE
+from hierax.nodes.tower.tasks import is_look
 from hierax.nodes.tracking.math.geometry import Floats, invert
-from hierax.nodes.tracking.schema import LOST
+from hierax.nodes.tracking.schema import LOST, TABLE
 from hierax.runtime import Value
 
 OVER, CARRY, LOWER, OPEN = "over", "carry", "lower", "open"
@@ -54,8 +54,10 @@ VIEWS = (
     HOME_GRIPPER,
     *(gripper_down(np.array([0.34, side * 0.24, 0.36]), side * -0.8, np.radians(15.0)) for side in (1.0, -1.0)),
     gripper_down(np.array([0.44, 0.0, 0.46])),
+    *(gripper_down(np.array([0.30, side * 0.42, 0.34]), side * -0.8, np.radians(15.0)) for side in (1.0, -1.0)),
 )
-"""world_from_gripper where the camera overlooks the table: from home, from both sides, and from above."""
+"""world_from_gripper where the camera overlooks the table: from home, from both sides, from above; and, for what is
+still not seen then, from farther aside, where the arm reaches, but nothing is laid."""
 
 
 def watching(belief: Value, time_s: float) -> Value:
@@ -114,13 +116,14 @@ def _after_watch(belief: Value, time_s: float) -> Value:
     belief = steadied(belief, has_reached(belief, VIEWS[belief["view"]]), time_s)
     if belief["put"] is not None and _is_lost(belief, belief["put"]):
         belief = {**belief, "put": None}  # it is looked for everywhere
-    if belief["goal"] is not None and is_steady(belief, time_s, LOOK_S) and not _is_lost(belief, belief["goal"][1]):
+    goal, is_settled = belief["goal"], is_steady(belief, time_s, LOOK_S)
+    if goal is not None and not is_look(goal) and is_settled and not _is_lost(belief, goal[1]):
         found = _reached(belief)
         if found is not None:
             return entered(aimed(_begun(belief, found)), OVER, time_s)
     if not is_steady(belief, time_s, VIEW_S):
         return belief
-    searches = belief["goal"] is not None or any(body["status"] == LOST for body in belief["bodies"])
+    searches = goal is not None or any(body["status"] == LOST for body in belief["bodies"])
     view = (belief["view"] + 1) % len(VIEWS) if searches else 0
     if view == 0:  # looked from everywhere
         belief = {**belief, "frees": None, "cleared": ()}
@@ -263,7 +266,8 @@ def _after_retreat(belief: Value, time_s: float) -> Value:
     elif belief["put"] == belief["target"]:
         frees = None  # it is
     after = watching(belief, time_s)
-    return after if frees is None or asked is None else {**after, "goal": (frees, TABLE), "frees": frees}
+    moves = asked is not None and not is_look(asked)
+    return after if frees is None or not moves else {**after, "goal": (frees, TABLE), "frees": frees}
 
 
 AFTER = {

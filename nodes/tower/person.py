@@ -11,7 +11,7 @@ import numpy as np
 
 from hierax.nodes.picking.panda import gripper_at
 from hierax.nodes.picking.workcell import GUEST_HALF_M, Grip, Guest
-from hierax.nodes.tower.interferences import ACTS, HOME_M, Scene, Stop
+from hierax.nodes.tower.interferences import ACTS, HOME_M, Scene, Stop, brought
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, log_so3, make_pose, project, transform
 from hierax.runtime import Value
 
@@ -41,6 +41,10 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
     stop = Stop(**belief["stops"][0])
     if stop.unless_near and not scene.is_free(stop.unless_near):
         belief = {**belief, "stops": ({**belief["stops"][-1], "counts": False},), "late_s": 0.0}
+        stop = Stop(**belief["stops"][0])
+    if stop.brings:
+        back = tuple(each._asdict() for each in brought(scene, stop.brings))
+        belief = {**belief, "stops": (*back, *belief["stops"][1:])}
         stop = Stop(**belief["stops"][0])
     belief = _gripping(belief, stop, scene)
     target, there = _advanced(belief["target"], stop, scene, interval_s)

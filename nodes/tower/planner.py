@@ -11,17 +11,16 @@ from itertools import pairwise
 from typing import Any
 
 from hierax.nodes.picking.layout import CUBES
-from hierax.nodes.picking.phases import RETREAT
 from hierax.nodes.tower.builder import Builder
+from hierax.nodes.tower.doing import DOING
 from hierax.nodes.tower.goals import Towers
-from hierax.nodes.tower.rules import NO_PLAN, TABLE, Plan, Step, Wish
+from hierax.nodes.tower.rules import LOOKED_FOR, NO_PLAN, Plan, Step, Wish
 from hierax.nodes.tower.symbols import Symbols
+from hierax.nodes.tracking.schema import TABLE
 from hierax.runtime import Value
-from hierax.runtime.core.errors import HieraxError
 
 # What a cube is on that the hand holds, one of which nothing is known, and one of which that is not settled just now.
 HAND, UNKNOWN, UNSETTLED = -1, -2, -3
-LOOK = UNKNOWN  # in a step: the cube is not moved onto anything, but looked for
 
 Blocks = dict[int, int]
 """Of each cube, what it is on."""
@@ -71,8 +70,10 @@ class PlanningBuilder(Builder):
         plan = None if before == NO_PLAN else self.followed(before, now, skill)
         if plan is not None:
             return _wish_of(plan, "as planned"), plan
-        settled = {cube: TABLE if on == UNSETTLED else on for cube, on in now.items()}
-        plan = Plan(planned(self.towers, settled), tuple(settled.items()))
+        steps = planned(self.towers, _settled(now))
+        if steps is None:
+            return Wish("look"), NO_PLAN  # what is believed contradicts itself
+        plan = Plan(steps, tuple(_settled(now).items()))
         return _wish_of(plan, "planned" if before == NO_PLAN else "planned again"), plan
 
     @abstractmethod
@@ -85,24 +86,24 @@ class Planner(PlanningBuilder):
     if it is the one that is moved, where that leads to."""
 
     def followed(self, plan: Plan, now: Blocks, skill: Mapping[str, Any]) -> Plan | None:
-        expected = dict(plan.expects)
-        if not plan.plan:
-            return plan if now == expected else None
-        cube, onto = plan.plan[0]
-        if any(now[other] != expected[other] for other in now if other != cube):
+        expected, settled = dict(plan.expects), _settled(now)
+        cube, onto = plan.plan[0] if plan.plan else (None, TABLE)
+        if any(settled[other] != expected[other] for other in now if other != cube):
             return None
-        goes_to = TABLE if onto == LOOK else onto
+        if cube is None:
+            return plan
+        goes_to = TABLE if onto == LOOKED_FOR else onto
         if now[cube] == goes_to:
             return Plan(plan.plan[1:], tuple({**expected, cube: goes_to}.items()))
         return plan if now[cube] in (HAND, UNSETTLED, expected[cube]) else None
 
 
 class OpenLoop(PlanningBuilder):
-    """Makes a plan once, and does not look any more: a move is done when the skills node says so. For comparison."""
+    """Makes a plan once, and does not look any more: a move is over when the skills node says so. For comparison."""
 
     def followed(self, plan: Plan, now: Blocks, skill: Mapping[str, Any]) -> Plan:
-        done = plan.plan and skill["phase"] == RETREAT and tuple(skill["goal"] or ()) == plan.plan[0]
-        return plan._replace(plan=plan.plan[1:]) if done else plan
+        is_over = skill["status"] != DOING and plan.plan[:1] == ((skill["cube"], skill["onto"]),)
+        return plan._replace(plan=plan.plan[1:]) if is_over else plan
 
 
 def blocks_of(symbols: Symbols, cubes: Sequence[int]) -> Blocks:
@@ -113,8 +114,14 @@ def blocks_of(symbols: Symbols, cubes: Sequence[int]) -> Blocks:
     return {cube: known.get(cube, UNSETTLED) for cube in cubes}
 
 
-def planned(towers: Towers, blocks: Blocks) -> tuple[Step, ...]:
-    """The shortest plan that builds towers of blocks as they are; what is to be looked for comes as late as it can."""
+def _settled(blocks: Blocks) -> Blocks:
+    """The same, of what is not settled that it stands on the table."""
+    return {cube: TABLE if on == UNSETTLED else on for cube, on in blocks.items()}
+
+
+def planned(towers: Towers, blocks: Blocks) -> tuple[Step, ...] | None:
+    """The shortest plan that builds towers of blocks as they are; what is to be looked for comes as late as it can.
+    None: blocks cannot be so, as where two are each on the other."""
     facts = "".join((*_facts_of(blocks), *_goals_of(towers)))
     for length in range(2 * len(blocks) + 1):
         control = _library().Control(["--warn=none", f"-c n={length}"])
@@ -124,7 +131,7 @@ def planned(towers: Towers, blocks: Blocks) -> tuple[Step, ...]:
             shown = [model.symbols(shown=True) for model in found]
         if shown:
             return tuple(step for _, step in sorted(map(_step_of, shown[-1])))
-    raise HieraxError(f"there is no plan of at most {2 * len(blocks)} moves for {towers} with {blocks}")
+    return None
 
 
 def _facts_of(blocks: Blocks) -> Iterator[str]:
@@ -148,15 +155,14 @@ def _step_of(shown: Any) -> tuple[int, Step]:
     """At which instant which step is taken."""
     cube, *onto, instant = shown.arguments
     if not onto:
-        return instant.number, (cube.number, LOOK)
+        return instant.number, (cube.number, LOOKED_FOR)
     return instant.number, (cube.number, onto[0].number if onto[0].type.name == "Number" else TABLE)
 
 
 def _wish_of(plan: Plan, rule: str) -> Wish:
     if not plan.plan:
         return Wish("done")
-    cube, onto = plan.plan[0]
-    return Wish(f"look for {cube}") if onto == LOOK else Wish(rule, cube, onto)
+    return Wish(rule, *plan.plan[0])
 
 
 def _library() -> Any:

@@ -10,27 +10,25 @@ from hierax.nodes.picking.panda import FOCAL_LENGTH, HOME_GRIPPER, camera_of
 from hierax.nodes.picking.phases import is_sure
 from hierax.nodes.picking.planning import Grasp, choose
 from hierax.nodes.tower.placing import half_height
-from hierax.nodes.tower.rules import TABLE
+from hierax.nodes.tower.rules import Step
 from hierax.nodes.tracking.math.geometry import Floats, invert, transform
+from hierax.nodes.tracking.schema import TABLE
 
 _NEAR_M = 0.12  # so near, as seen from above, a cube may be in the way of the hand that takes another one
 _LYING_M = 0.01  # so much higher than if it stood on the table, a cube may seem to be
 _CAMERA_FROM_WORLD = invert(camera_of(HOME_GRIPPER))
-
-Goal = tuple[int, int]
-"""A cube, and what it is to be moved onto."""
 
 
 class Reach(NamedTuple):
     """What is taken, and what for."""
 
     grasp: Grasp
-    goal: Goal  # the one that was asked for, or that another cube comes onto the table first
+    goal: Step  # the one that was asked for, or that another cube comes onto the table first
 
 
 def reach(
     bodies: Sequence[Mapping[str, Any]],
-    goal: Goal,
+    goal: Step,
     tried: Sequence[tuple[int, Floats]] = (),
     cleared: Sequence[tuple[int, int]] = (),
 ) -> Reach | None:

@@ -1,17 +1,19 @@
 """The rules by which a tower grows: teleo-reactive (Nilsson, JAIR 1994), nested as in the literature on blocks.
 
 They are gone through again in every epoch, from what holds now: whatever somebody does to a tower, the first rule that
-fits brings it nearer to what is wanted. A wish is a cube, and what it is to be moved onto: a cube, or `TABLE`."""
+fits brings it nearer to what is wanted. A rule is a wish, or a program of rules itself. A wish is a cube, and what it
+is to be moved onto: a cube, or `TABLE`; or `LOOKED_FOR`: it is looked for."""
 
 from typing import NamedTuple
 
 from hierax.nodes.tower.goals import Tower, Towers, orders_of
 from hierax.nodes.tower.symbols import Symbols
+from hierax.nodes.tracking.schema import TABLE
 
-TABLE = 0
+LOOKED_FOR = -2  # in the place of what a cube comes onto: it is not moved, but looked for
 
 Step = tuple[int, int]
-"""A move: a cube, and what it comes onto."""
+"""A move: a cube, and what it comes onto; or a look for it."""
 
 
 class Plan(NamedTuple):
@@ -25,9 +27,9 @@ NO_PLAN = Plan((), ())
 
 
 class Wish(NamedTuple):
-    """What is to be done, and by which rule; the cube None: nothing."""
+    """What is to be done; the cube None: nothing."""
 
-    rule: str
+    rule: str  # by which one, within which programs, the outermost first, as in ``make tower 1 3 > clear 1 > take``
     cube: int | None = None
     onto: int = TABLE
 
@@ -74,24 +76,44 @@ def wish_of(towers: Towers, symbols: Symbols) -> Wish:
     for tower in towers:
         order = order_of(tower, symbols)
         if not _stands(order, symbols):
-            return _make(order, symbols)
+            return _make_tower(order, symbols)
     return Wish("done") if symbols.holding is None else Wish("put away", symbols.holding)
 
 
-def _make(tower: tuple[int, ...], symbols: Symbols) -> Wish:
-    """makeTower: the cubes that stand as they should stay; the next one comes onto them."""
-    height = height_of(tower, symbols)
-    base = tower[height - 1] if height else TABLE
-    wanted = tower[height] if height < len(tower) else None
+def _make_tower(tower: tuple[int, ...], symbols: Symbols) -> Wish:
+    """makeTower: what stands as it should is set free; on what stands the highest cube is moved, on all but which a
+    tower is made first."""
+    *lower, top = tower
+    if height_of(tower, symbols) == len(tower):
+        then = _make_clear(top, symbols)
+    elif height_of(tuple(lower), symbols) == len(lower):
+        then = _move(top, lower[-1] if lower else TABLE, symbols)
+    else:
+        then = _make_tower(tuple(lower), symbols)
+    return _in(f"make tower {' '.join(map(str, tower))}", then)
+
+
+def _make_clear(cube: int, symbols: Symbols) -> Wish:
+    """unpile: the highest of what stands on a cube comes onto the table."""
+    return _in(f"clear {cube}", _move(symbols.above(cube)[-1], TABLE, symbols))
+
+
+def _move(cube: int, onto: int, symbols: Symbols) -> Wish:
+    """moveToBlock and moveToTable: what is in the hand comes first, then what is in the way."""
+    is_clear = onto == TABLE or symbols.is_clear(onto)
     if symbols.holding is not None:
-        fits = symbols.holding == wanted and (base == TABLE or symbols.is_clear(base))
-        return Wish("place", symbols.holding, base) if fits else Wish("put away", symbols.holding)
-    if base != TABLE and not symbols.is_clear(base):
-        return Wish("unpile the tower", symbols.above(base)[-1])
-    if wanted is None:
-        return Wish("done")
-    if wanted in symbols.unknown:
-        return Wish("look for the next cube")
-    if not symbols.is_clear(wanted):
-        return Wish("unpile the next cube", symbols.above(wanted)[-1])
-    return Wish("move to the tower" if base != TABLE else "move to the table", wanted, base)
+        fits = symbols.holding == cube and is_clear
+        then = Wish("place", cube, onto) if fits else Wish("put away", symbols.holding)
+    elif not is_clear:
+        then = _make_clear(onto, symbols)
+    elif cube in symbols.unknown:
+        then = Wish("look", cube, LOOKED_FOR)
+    elif not symbols.is_clear(cube):
+        then = _make_clear(cube, symbols)
+    else:
+        then = Wish("take", cube, onto)
+    return _in(f"move {cube} onto {onto or 'the table'}", then)
+
+
+def _in(program: str, then: Wish) -> Wish:
+    return then._replace(rule=f"{program} > {then.rule}")

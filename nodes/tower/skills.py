@@ -1,18 +1,20 @@
-"""The skills node: moves one cube onto another one, or to a free place of the table, as it is told.
+"""The skills node: moves one cube onto another one, or to a free place of the table, or looks for one, as it is told.
 
 A task becomes the name of a policy, as the commands for the gripper do below. Phases: watch, over, approach, descend,
 close, lift, carry, lower, open, retreat, and watch again. Another task counts where it can: before the hand closes, and
 while a cube is carried; else when the present one is done. Where no hand gets at a cube, one that is in the way is
-moved aside first."""
+moved out of it first. While it watches, the camera looks from one side after the other for what is lost."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from hierax.nodes.picking.commands import command
+from hierax.nodes.picking.commands import REST, Named, command
 from hierax.nodes.picking.panda import WIDEST_M
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
 from hierax.nodes.picking.planning import OPENING_M, before
+from hierax.nodes.picking.tracker import scene_of
 from hierax.nodes.tower.display import skill_things
+from hierax.nodes.tower.doing import doing, held
 from hierax.nodes.tower.moving import (
     AFTER,
     CARRY,
@@ -27,53 +29,31 @@ from hierax.nodes.tower.moving import (
     over,
     up,
 )
+from hierax.nodes.tower.tasks import goal_of, is_look, name_of
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.schema import TRACKED
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.node import Policy
 from hierax.runtime.core.showing import Things
 
-REST = "default"
-_MOVE, _ONTO = "move", "onto"
-_HOLDING = (LIFT, CARRY, LOWER)  # phases in which the cube is in the hand
-_FREE = (WATCH, OVER, APPROACH)  # those in which it does not matter yet which cube is meant
+_FREE = (WATCH, OVER, APPROACH)  # phases in which it does not matter yet which cube is meant
 # How fast the gripper goes, m/s: across the table and up from what it has put down, where there is room; between cubes;
 # and with one up from the others, slowly, as it is then that the camera has to see how it is held.
 ACROSS_M_S = 0.4
 SPEEDS_M_S = {DESCEND: 0.12, CLOSE: 0.12, LIFT: 0.08, LOWER: 0.12, OPEN: 0.12}
 
 
-def name_of(tasks: Elements) -> str:
-    """The name of the policy that does what is asked for."""
-    return f"{_MOVE} {tasks[0]['cube']} {_ONTO} {tasks[0]['onto']}" if tasks else REST
-
-
-class _Skills(Mapping[str, Policy]):
-    """Π: for each cube and what it may be moved onto, the policy that does it; ``default`` has the arm watch."""
-
-    def __getitem__(self, name: str) -> Policy:
-        words = name.split(" ")
-        if name == REST:
-            return lambda belief: ({"goal": None}, _wish(belief))
-        if len(words) != 4 or (words[0], words[2]) != (_MOVE, _ONTO):
-            raise KeyError(name)
-        try:
-            goal = int(words[1]), int(words[3])
-        except ValueError:
-            raise KeyError(name) from None
-        return lambda belief: ({"goal": goal}, _wish(belief))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((REST,))
-
-    def __len__(self) -> int:
-        return 1
+def _policy(name: str) -> Policy:
+    """What is done for a goal, by the name of the task; of none, the arm watches."""
+    goal = None if name == REST else goal_of(name)
+    return lambda belief: ({"goal": goal}, _wish(belief))
 
 
 class SkillsNode(Node):
     """Moves cubes.
 
-    The belief is that of phases (`hierax.nodes.picking.phases`), with ``goal`` (what is being done; None: nothing),
+    The belief is that of phases (`hierax.nodes.picking.phases`), with ``carried`` (what carries which cube), ``goal``
+    (what is being done; None: nothing),
     ``asked`` (what was asked for last), ``view`` (from which of `VIEWS` it watches), ``place`` (world_from_gripper
     where the cube is put down; None before that is known), ``sighted_s`` (when it was last seen, while the cube is
     carried, what that comes onto; None: never), ``refused`` (what was asked for and cannot be done with the cube in the
@@ -93,7 +73,7 @@ class SkillsNode(Node):
 
     def initial_belief(self) -> Value:
         """Watching; nothing is known, and nothing asked for."""
-        seen = {"width": WIDEST_M, "bodies": (), "hand": None}
+        seen = {"width": WIDEST_M, "bodies": (), "hand": None, "carried": ()}
         nothing = dict.fromkeys(("goal", "asked", *OF_A_MOVE))
         return {
             "phase": WATCH,
@@ -113,11 +93,10 @@ class SkillsNode(Node):
         """τ: the scene, and the phase that follows."""
         if not observations:
             return belief
-        bodies = tuple(item for item in observations if "pose" in item)
-        hand = next(item["hand"] for item in observations if "hand" in item)
+        bodies, hand, carried = scene_of(observations)
         if self._once and belief["moves"]:
             bodies = _as_left(belief, hand)
-        seen = _with_goal({**belief, "bodies": bodies, "hand": hand}, tick.time_s)
+        seen = _with_goal({**belief, "bodies": bodies, "hand": hand, "carried": carried}, tick.time_s)
         return AFTER[seen["phase"]](seen, tick.time_s)
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
@@ -130,8 +109,8 @@ class SkillsNode(Node):
         return name_of(tasks)
 
     def policies(self) -> Mapping[str, Policy]:
-        """Π: for each move, its execution."""
-        return _Skills()
+        """Π: for each task, its execution."""
+        return Named(_policy)
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """How many moves have begun."""
@@ -150,44 +129,39 @@ def gripper_commands(actions: Elements) -> Elements:
 def held_and_standing(belief: Value) -> Elements:
     """ϱ of the skills node: {"held": id of the cube that the hand holds, None for none; "stands": those that stand,
     with the one that it has put down last; "looks": whether the camera overlooks the table, so that what is not seen
-    where it should be is elsewhere}."""
+    where it should be is elsewhere}. Where the cube that is held is about to be says the command that comes with it."""
     stands = {*belief["stands"]} if belief["put"] is None else {*belief["stands"], belief["put"]}
-    return ({"held": _held(belief), "stands": tuple(sorted(stands)), "looks": belief["phase"] == WATCH},)
+    return ({"held": held(belief), "stands": tuple(sorted(stands)), "looks": belief["phase"] == WATCH},)
 
 
 def scene_and_skill(belief: Value) -> Elements:
-    """φ of the skills node: the bodies, then {"skill": {"phase", "goal", "holding"}}; none before the first look."""
+    """φ of the skills node: the bodies; {"hand", "carried"}, as they came; then {"skill": what `doing` tells, with
+    "holding", the cube that the hand should have, and "looks", as in the context}. None before the first look."""
     if belief["hand"] is None:
         return ()
-    return (
-        *belief["bodies"],
-        {"skill": {**{name: belief[name] for name in ("phase", "goal")}, "holding": _held(belief)}},
-    )
+    skill = {**doing(belief), "holding": held(belief), "looks": belief["phase"] == WATCH}
+    return (*belief["bodies"], {"hand": belief["hand"], "carried": belief["carried"]}, {"skill": skill})
 
 
 def _as_left(belief: Value, hand: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
     """The cubes where the last look has them, whatever they were then, but for the one that is in the hand, which moves
     with it."""
-    held = _held(belief)
-    moved = {held: hand["gripper"] @ invert(belief["box_from_gripper"])} if held is not None else {}
+    cube = held(belief)
+    moved = {} if cube is None else {cube: hand["gripper"] @ invert(belief["box_from_gripper"])}
     return tuple({**body, "status": TRACKED, "pose": moved.get(body["id"], body["pose"])} for body in belief["bodies"])
-
-
-def _held(belief: Value) -> int | None:
-    return belief["target"] if belief["phase"] in _HOLDING else None
 
 
 def _with_goal(belief: Value, time_s: float) -> Value:
     """The belief with what is asked for, where that may change now."""
-    asked = belief["asked"]
-    frees = belief["frees"]
-    waits = asked is not None and (asked == belief["refused"] or frees not in (None, asked[0]))
+    asked, frees = belief["asked"], belief["frees"]
+    moves = asked is not None and not is_look(asked)
+    waits = moves and (asked == belief["refused"] or frees not in (None, asked[0]))
     if asked == belief["goal"] or waits:
         return belief
     if belief["phase"] in _FREE:
         return asked_anew({**belief, "goal": asked}, time_s)
-    carried = belief["phase"] in (LIFT, CARRY) and asked is not None and asked[0] == belief["target"]
-    if carried and not moves_aside(belief):
+    is_carried = belief["phase"] in (LIFT, CARRY) and moves and asked[0] == belief["target"]
+    if is_carried and not moves_aside(belief):
         return {**belief, "goal": asked, "place": None, "sighted_s": None}
     return belief
 

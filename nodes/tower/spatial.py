@@ -1,6 +1,6 @@
 """The spatial node below one that reasons: what was put somewhere stays there, unless it is surely seen elsewhere."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -78,42 +78,46 @@ class TowerSpatial(PickSpatial):
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `PickSpatial`, but that cubes of which it is known that they stand stay where they were, about as well
-        known as ever, unless they are seen. While the camera overlooks the table, what is lost is lost all the same."""
+        known as ever, unless they are seen. While the camera overlooks the table, what is lost is lost all the same.
+        Where nothing is told, it is that of `PickSpatial`."""
         told: Value = context[0] if context else _NOTHING_TOLD
-        looks = told["looks"]
-        odd = _counted(belief, told) if looks else dict(belief["odd"])
-        denied = {number: _DENIED for number, count in odd.items() if looks and count > ODD_EPOCHS}
-        stands = {*told["stands"]} - {told["held"], *denied}
-        kept = {
-            body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6), "covariance": _bounded(body)}
-            for body in belief["bodies"]
-            if body["status"] != TRACKED and body["id"] in stands
-        }
-        bodies = tuple({**kept.get(body["id"], body), **denied.get(body["id"], {})} for body in belief["bodies"])
-        said = {body["id"]: body["status"] if looks else EXPECTED for body in belief["bodies"]}
-        known = {body["id"]: body for body in belief["bodies"]}
-        for number, pose in (carriers(belief["bodies"]) if looks else {}).items():
-            kept[number] = _unseen_at(known[number], pose, CARRIES_M, CARRIES_RAD)
-            said[number] = EXPECTED
-            bodies = _with(bodies, kept[number])
+        counts = bool(context) and told["looks"]
+        odd = _counted(belief, told) if counts else dict(belief["odd"])
+        denied = {number for number, count in odd.items() if counts and count > ODD_EPOCHS}
+        kept, said = _kept(belief, told, denied, counts)
+        bodies = tuple(
+            {**kept.get(body["id"], body), **(_DENIED if body["id"] in denied else {})} for body in belief["bodies"]
+        )
         after = super().predict(context, actions, {**belief, "bodies": bodies})
+        stay = {
+            number: {**{name: body[name] for name in _STAYS}, "status": said.get(number, EXPECTED)}
+            for number, body in kept.items()
+        }
         return {
             **after,
             "told": told,
             **(_NO_HOLD if told["held"] is None or told["held"] != belief["told"]["held"] else {}),
             "odd": tuple(odd.items()),
-            "sweeping": after["sweeping"] if looks else (),
-            "bodies": tuple(
-                {
-                    **body,
-                    **{name: kept[body["id"]][name] for name in _STAYS},
-                    "status": said[body["id"]],
-                }
-                if body["id"] in kept
-                else body
-                for body in after["bodies"]
-            ),
+            "sweeping": after["sweeping"] if told["looks"] else (),
+            "bodies": tuple({**body, **stay.get(body["id"], {})} for body in after["bodies"]),
         }
+
+
+def _kept(belief: Value, told: Value, denied: Collection[int], counts: bool) -> tuple[dict[int, Value], dict[int, str]]:
+    """The cubes that are imagined where they are told to stand, or where one must be that carries another one, whatever
+    the camera sees; and the status of those that have another than `EXPECTED` all the same."""
+    stands = {*told["stands"]} - {told["held"], *denied}
+    kept = {
+        body["id"]: {**body, "status": EXPECTED, "velocity": np.zeros(6), "covariance": _bounded(body)}
+        for body in belief["bodies"]
+        if body["status"] != TRACKED and body["id"] in stands
+    }
+    known = {body["id"]: body for body in belief["bodies"]}
+    said = {number: known[number]["status"] for number in kept} if told["looks"] else {}
+    for number, pose in (carriers(belief["bodies"]) if counts else {}).items():
+        kept[number] = _unseen_at(known[number], pose, CARRIES_M, CARRIES_RAD)
+        said.pop(number, None)
+    return kept, said
 
 
 def _counted(belief: Value, told: Value) -> dict[int, int]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.picking.layout import CUBES
+from hierax.nodes.picking.panda import gripper_at
 from hierax.nodes.picking.world import PickWorld
 from hierax.nodes.tower.goals import Tower, orders_of, read_towers
 from hierax.nodes.tower.interferences import ACTS, Scene
@@ -64,13 +65,14 @@ class TowerWorld(PickWorld):
         """What has become of the towers, and of what the arm has raised, beside a frame before."""
         bodies = {body["id"]: body for body in after["bodies"]}
         raised, rests = set(belief["raised"]), dict(belief["rests"])
-        begun = 0
+        begun, gripper = 0, gripper_at(after["joints"])
         for number, body in bodies.items():
             height = float(body["pose"][2, 3])
-            if _is_near_hand(body, after) and height > rests[str(number)] + _RAISED_M:
+            is_near = float(np.linalg.norm(body["pose"][:3, 3] - gripper[:3, 3])) < _AWAY_M
+            if is_near and height > rests[str(number)] + _RAISED_M:
                 begun += number not in raised
                 raised.add(number)
-            elif not _is_near_hand(body, after):
+            elif not is_near:
                 raised.discard(number)
                 rests[str(number)] = height
         stands = self._all_built(after) and not raised
@@ -116,10 +118,9 @@ class TowerWorld(PickWorld):
 
 
 def _read_acts(person: str | Sequence[str]) -> tuple[str, ...]:
-    given = [person] if isinstance(person, str) else list(person)
-    for name in given:
-        if name != NONE and name not in ACTS:
-            raise ValueError(f"person is {person!r}; expected {NONE}, or some of {', '.join(ACTS)}")
+    given = [person] if isinstance(person, str) else person
+    if not isinstance(given, list | tuple) or any(name != NONE and name not in ACTS for name in given):
+        raise ValueError(f"person is {person!r}; expected {NONE}, or one of {', '.join(ACTS)}, or a list of such")
     return tuple(name for name in given if name != NONE)
 
 
@@ -161,7 +162,3 @@ def _stands(tower: tuple[int, ...], bodies: Mapping[int, Mapping[str, Any]]) -> 
 
 def _beside_mm(upper: Mapping[str, Any], lower: Mapping[str, Any]) -> float:
     return 1000.0 * float(np.linalg.norm(upper["pose"][:2, 3] - lower["pose"][:2, 3]))
-
-
-def _is_near_hand(body: Mapping[str, Any], belief: Value) -> bool:
-    return float(np.linalg.norm(body["pose"][:3, 3] - belief["setpoint"][:3, 3])) < _AWAY_M

@@ -16,6 +16,8 @@ from hierax.nodes.tracking.math.geometry import Array, Floats
 # Status of an object: the newest image supports its pose; it is known from prediction alone; nobody knows where.
 TRACKED, EXPECTED, LOST = "tracked", "expected", "lost"
 
+TABLE = 0  # in the place of a body's id, where bodies are carried by the table
+
 
 class Is(NamedTuple):
     """What an array is."""
@@ -326,6 +328,8 @@ class SpatialBelief(_Viewing):
     # ids of missing bodies that are looked for everywhere in the next image; None: none is ever missing
     sweeping: tuple[int, ...] | None
     bodies: tuple[Body, ...]
+    # pairs of ids: a body, and what carries it by the physics of the last γ: another one, or `TABLE`
+    carried: tuple[tuple[int, int], ...]
 
 
 def fault(value: Any, kind: Any, where: str) -> str:

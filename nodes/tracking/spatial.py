@@ -80,6 +80,7 @@ class SpatialNode(Node):
             "interval_s": const.DEFAULT_INTERVAL_S,
             "sweeping": () if self._table else None,
             "bodies": self._bodies,
+            "carried": (),
         }
 
     def observe(
@@ -111,11 +112,17 @@ class SpatialNode(Node):
         bodies = [body for body in belief["bodies"] if not is_missing(body, belief)]
         motions = [Motion(body["pose"], body["velocity"]) for body in bodies]
         coasting = [self._coasted(motion, interval_s) for motion in motions]
+        carried: list[tuple[int, int]] = []
         if not self._table:
             after = [_at(body, to) for body, to in zip(bodies, coasting, strict=True)]
         else:
             solids = [self._solids[body["id"]][_is_driven(body)] for body in bodies]
             settled = self._simulator.run(solids, motions, interval_s)
+            ids = [body["id"] for body in bodies]
+            carried = [
+                (ids[upper], schema.TABLE if lower is None else ids[lower])
+                for upper, lower in self._simulator.carried()
+            ]
             after = [
                 resting(_at(body, self._bounded(body, free, physical)), _is_carried(free, physical, interval_s))
                 for body, free, physical in zip(bodies, coasting, settled, strict=True)
@@ -123,7 +130,7 @@ class SpatialNode(Node):
         present = {body["id"]: self._looked_for(body, interval_s) for body in after}
         sweeping = _swept_next(belief) if self._table else None
         every = tuple(present.get(body["id"]) or _sought(body, sweeping or ()) for body in belief["bodies"])
-        return {**belief, "bodies": every, "sweeping": sweeping}
+        return {**belief, "bodies": every, "sweeping": sweeping, "carried": tuple(sorted(carried))}
 
     def metrics(self, belief: schema.SpatialBelief) -> Mapping[str, float]:
         """How many bodies the arm tracks and has lost, and the fastest one's speed in mm/s."""

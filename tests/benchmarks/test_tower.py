@@ -55,6 +55,8 @@ def test_a_scene_that_is_not_done_and_a_launch_with_another_digest_are_told(
 ) -> None:
     assert tower.main(["--scenes", "7:8"]) == 1
     assert "0 of 1 done" in capsys.readouterr().out
+    assert tower.main(["--scenes", "6:9", "--least", "2"]) == 0
+    assert tower.main(["--scenes", "6:9", "--least", "3"]) == 1
     assert tower.main(["--scenes", "5:7", "--launched", "2"]) == 0
     assert tower.main(["--scenes", "8:10", "--launched", "2"]) == 1
     told = capsys.readouterr().out

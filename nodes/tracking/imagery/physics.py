@@ -25,6 +25,7 @@ HULL_MARGIN_M = 0.00055
 HULL_DIRECTIONS = 240
 
 GRAVITY_M_S2 = 9.81
+CARRIES = 0.25  # of a body's weight; what pushes it up by less only touches it
 
 MADE_MOST = 4000
 """So many bodies may have been in a world before it is emptied: of each that is gone pybullet keeps 900 bytes."""
@@ -70,6 +71,7 @@ class Simulator:
     def __init__(self) -> None:
         self._bullet = Bullet()
         self._handles: list[int] | None = None  # of bodies on the table; None: not even that is there
+        self._moved: list[int] = []  # the handles of the bodies of the last call
 
     def run(
         self,
@@ -81,18 +83,36 @@ class Simulator:
         """Let bodies fall, slide, push and settle for so many seconds, in equal steps of at most `STEP_S`, at most
         `MAX_STEPS` of them: the motions afterwards. `drives` is by index of a body the horizontal velocity (2,), m/s,
         to which a thread draws it; it pulls against the friction of that body alone."""
+        self._moved = []
         if not solids or duration_s <= 0.0:
             return list(motions)
         steps = min(MAX_STEPS, max(1, ceil(duration_s / STEP_S - 1e-6)))
         step_s = duration_s / steps
         self._clear(step_s)
         handles = [self._create(solid, motion) for solid, motion in zip(solids, motions, strict=True)]
-        self._handles = handles
+        self._handles = self._moved = handles
         for _ in range(steps):
             for index, drive in (drives or {}).items():
                 self._draw_along(handles[index], solids[index], drive, step_s)
             self._bullet.stepSimulation()
         return [self._read(handle, solid) for handle, solid in zip(handles, solids, strict=True)]
+
+    def carried(self) -> list[tuple[int, int | None]]:
+        """Which of the bodies of the last call were carried at its end, and by what: pairs of an index and that of the
+        other body, None for the table. What carries a body pushes it up by a part of its weight at least."""
+        at = {handle: index for index, handle in enumerate(self._moved)}
+        if not at:
+            return []
+        upwards: dict[tuple[int, int], float] = {}
+        for _, one, other, *_, normal, _, force in (point[:10] for point in self._bullet.getContactPoints()):
+            lift = force * normal[2]  # the normal points from the other one to the first
+            pair = (one, other) if lift > 0.0 else (other, one)
+            upwards[pair] = upwards.get(pair, 0.0) + abs(lift)
+        masses = {handle: self._bullet.getDynamicsInfo(handle, -1)[0] for handle in at}
+        return sorted(
+            ((at[upper], at.get(lower)) for (upper, lower), lift in upwards.items() if _carries(lift, masses, upper)),
+            key=lambda pair: (pair[0], -1 if pair[1] is None else pair[1]),
+        )
 
     def _clear(self, step_s: float) -> None:
         """Have nothing there but the table: to begin anew takes far longer than to take away what is on it."""
@@ -130,6 +150,10 @@ class Simulator:
         offset = pose[:3, :3] @ solid.centre
         pose[:3, 3] -= offset
         return Motion(pose, np.concatenate([linear - _turned(angular, offset), angular]))
+
+
+def _carries(lift: float, masses: Mapping[int, float], upper: int) -> bool:
+    return upper in masses and lift >= CARRIES * masses[upper] * GRAVITY_M_S2
 
 
 def _turned(angular: Floats, offset: Floats) -> Floats:

@@ -5,39 +5,35 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hierax.nodes.picking.commands import REST, Commanded, command, handed_down, name_of
+from hierax.nodes.picking.commands import REST, command, handed_down, name_of
 from hierax.nodes.picking.panda import gripper_down
+from hierax.nodes.picking.tracker import spatial
 
+POLICIES = spatial(0, 1).policies()
 WANTED = command(gripper_down((0.5, -0.1, 0.2), 0.7, 0.1), 0.06, 0.25)
 
 
 def test_a_policy_does_what_its_name_says() -> None:
-    (action,) = Commanded()[name_of((WANTED,))](None)
+    (action,) = POLICIES[name_of((WANTED,))](None)
     np.testing.assert_allclose(action["gripper"], WANTED["gripper"], atol=1e-12)
     assert (action["width"], action["speed"]) == (WANTED["width"], WANTED["speed"])
 
 
 def test_a_command_handed_down_again_has_the_same_name() -> None:
     name = name_of((WANTED,))
-    (action,) = handed_down(Commanded()[name](None))
-    (again,) = Commanded()[name_of((action,))](None)
+    (action,) = handed_down(POLICIES[name](None))
+    (again,) = POLICIES[name_of((action,))](None)
     np.testing.assert_allclose(again["gripper"], action["gripper"], atol=1e-15)
     assert name_of((again,)).split()[-2:] == name.split()[-2:]
 
 
 def test_without_a_task_nothing_is_done() -> None:
     assert name_of(()) == REST
-    assert Commanded()[REST](None) == ()
-    assert list(Commanded()) == [REST]
+    assert POLICIES[REST](None) == ()
+    assert list(POLICIES) == [REST]
 
 
 @pytest.mark.parametrize("name", ["grab", "move", "move 1 2 3", "move a b c d e f g h i", "stay 1 2 3 4 5 6 7 8 9"])
 def test_other_names_are_no_policies(name: str) -> None:
     with pytest.raises(KeyError):
-        Commanded()[name]
-
-
-def test_a_node_may_turn_a_command_by_its_belief() -> None:
-    policies = Commanded(lambda wanted, belief: {**wanted, "width": belief})
-    (action,) = policies[name_of((WANTED,))](0.01)
-    assert action["width"] == 0.01
+        POLICIES[name]

@@ -36,7 +36,7 @@ class Obedient:
         return {"id": number, "pose": pose, "size": np.full(3, SIDE_M), "covariance": covariance, "status": status}
 
     def epoch(self) -> Any:
-        seen = (*self.cubes, {"hand": {"gripper": self.gripper, "width": self.width}})
+        seen = (*self.cubes, {"hand": {"gripper": self.gripper, "width": self.width}, "carried": ()})
         self.belief = self.node.observe(seen, self.belief, Tick(time_s=self.time_s))
         (wish,) = self.node.policies()[self.node.initial_policy](self.belief)
         self.belief = self.node.predict((), (wish,), self.belief)

@@ -11,9 +11,10 @@ import pytest
 from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.layout import SIDES_M, guessed
 from hierax.nodes.picking.panda import HOME_RAD, camera_of, gripper_at, gripper_down
-from hierax.nodes.picking.tracker import arm, poses_and_hand_seen, scene_known, spatial
+from hierax.nodes.picking.tracker import arm, poses_and_hand_seen, scene_known, scene_of, spatial
 from hierax.nodes.picking.world import PickWorld, picture_and_hand_seen
 from hierax.nodes.tracking.math.geometry import exp_se3, invert
+from hierax.nodes.tracking.schema import TABLE
 from hierax.runtime import Tick
 
 SEED = 2
@@ -105,6 +106,33 @@ def test_what_is_held_goes_on_as_the_hand_went() -> None:
     assert heights[0] < 0.0
     assert heights[2] < 0.0
     np.testing.assert_array_equal(after["bodies"][1]["velocity"], np.zeros(6))
+
+
+@pytest.mark.parametrize(("left_m", "goes_m"), [(0.05, 0.004), (0.003, 0.003), (0.0, 0.0)])
+def test_what_is_held_goes_no_farther_than_the_hand_is_commanded(left_m: float, goes_m: float) -> None:
+    """Up, by what is left of the way, while the hand went sideways."""
+    node = spatial(SCENE, CUBES)
+    moved = GRIPPER.copy()
+    moved[1, 3] += 0.004
+    goal = moved.copy()
+    goal[2, 3] += left_m
+    belief = {**node.initial_belief(), "hand": hand(moved), "hand_before": hand(GRIPPER)}
+    actions = node.policies()[node.select_policy((command(goal, 0.0, 0.1),))](belief)
+    after = node.predict(({"held": 2},), actions, belief)
+    gone = after["bodies"][1]["pose"] - belief["bodies"][1]["pose"]
+    np.testing.assert_allclose(gone[:3, 3], [0.0, 0.0, goes_m], atol=1e-9)
+
+
+def test_who_carries_whom_goes_up() -> None:
+    node = spatial(SCENE, CUBES)
+    belief = {**node.initial_belief(), "hand": hand(GRIPPER), "interval_s": 0.05}
+    places = {number: body["pose"].copy() for number, body in enumerate(belief["bodies"], start=1)}
+    places[2][:3, 3] = places[1][:3, 3] + [0.0, 0.0, (SIDES_M[0] + SIDES_M[1]) / 2]
+    places[3][2, 3] += 0.2
+    bodies = tuple({**body, "pose": places[body["id"]]} for body in belief["bodies"])
+    told = scene_of(scene_known(node.predict((), (), {**belief, "bodies": bodies})))
+    assert told.carried == ((1, TABLE), (2, 1))
+    assert [body["id"] for body in told.bodies] == [1, 2, 3]
 
 
 def test_nothing_is_held_without_context() -> None:

@@ -10,6 +10,7 @@ import pytest
 from hierax.nodes.picking.display import gripper_lines
 from hierax.nodes.tower.builder import Builder, TeleoReactive
 from hierax.nodes.tower.planner import Planner
+from hierax.nodes.tower.rules import LOOKED_FOR
 from hierax.nodes.tower.skills import SkillsNode
 from hierax.nodes.tower.symbols import Symbols
 from hierax.nodes.tower.world import TowerWorld
@@ -17,7 +18,13 @@ from hierax.runtime import Step
 from hierax.runtime.core.showing import Box, Curve, Graph, Image
 from hierax.runtime.viewing.views import placed
 
-ON = Symbols(((3, 1),), (1, 2), (5,), 4, {"on 3 1": 0.97, "on_table 1": 0.99, "on_table 2": 0.4})
+ON = Symbols(
+    ((3, 1),),
+    (1, 2),
+    (5,),
+    4,
+    {"on 3 1": 0.97, "on_table 1": 0.99, "on_table 2": 0.4, "holding 4": 0.98, "unknown 5": 1.0},
+)
 
 
 def step_of(belief: Any, sensed: Any = None) -> Step:
@@ -48,13 +55,17 @@ def test_at_the_beginning_nothing_is_on_anything() -> None:
 
 
 def test_certainties_are_curves_and_words() -> None:
-    things = builder_shows(TeleoReactive([1, 3, 4], 5), rule="move to the tower", cube=4, onto=3)
+    things = builder_shows(TeleoReactive([1, 3, 4], 5), rule="make tower 1 3 4 > move 4 onto 3 > take", cube=4, onto=3)
     assert isinstance(things["certainty/on 3 1"], Curve)
     assert things["certainty/on 3 1"].value == 0.97
-    assert "**move to the tower**: 4 onto 3" in things["why"]
+    assert "**make tower 1 3 4 > move 4 onto 3 > take**: 4 onto 3" in things["why"]
     assert "tower 1 3 4: 2 of 3 stand" in things["why"]
     assert "| on 3 1 | yes | 0.970 |" in things["why"]
     assert "| on_table 2 | yes | 0.400 |" in things["why"]
+    assert "| clear 3 | yes | below 0.01 |" in things["why"]
+    assert "| holding 4 | yes | 0.980 |" in things["why"]
+    assert "| unknown 5 | yes | 1.000 |" in things["why"]
+    assert "clear 1" not in things["why"]
     assert "plan" not in things["why"]
 
 
@@ -83,10 +94,22 @@ def test_the_skill_is_told_with_what_it_reaches_for() -> None:
     things = node.show(step_of({**moving, "gripper": np.eye(4), "place": np.eye(4), "box_width": 0.04}), None)
     placed("skills", things, "here")
     assert set(things) == {"skill", "/scene/gripper", "/scene/grasp", "/scene/place"}
-    for told in ("**carry** for 0.2 s", "3 onto the table", "given up: 3 onto 1", "50 mm between"):
+    for told in (
+        "**place on the table 3**",
+        "carry for 0.2 s",
+        "for: 3 onto the table",
+        "given up: 3 onto 1",
+        "50 mm between",
+    ):
         assert told in things["skill"]
     aside = {**moving, "gripper": np.eye(4), "place": np.eye(4), "box_width": 0.04, "refused": (2, 1)}
-    assert "to make room for: 2 onto 1" in node.show(step_of(aside), None)["skill"]
+    shown = node.show(step_of(aside), None)["skill"]
+    assert "to make room for: 2 onto 1" in shown
+    assert "**move out of the way 3**" in shown
+    looks = {**belief, "goal": (2, LOOKED_FOR), "asked": (2, LOOKED_FOR), "bodies": ({"id": 2, "status": "lost"},)}
+    assert "**look 2**\n\nwatch" in node.show(step_of(looks), None)["skill"]
+    seen = {**looks, "bodies": ({"id": 2, "status": "tracked"},)}
+    assert "**look 2**, done" in node.show(step_of(seen), None)["skill"]
 
 
 def test_a_gripper_is_as_wide_as_its_fingers_are_apart() -> None:

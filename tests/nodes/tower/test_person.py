@@ -23,7 +23,7 @@ FRAMES = 450
 REST = (command(HOME_GRIPPER, WIDEST_M, 0.25),)
 
 
-def begun(person: Any, seed: int = 1) -> tuple[TowerWorld, Any]:
+def begun(person: Any) -> tuple[TowerWorld, Any]:
     """A world in which the third cube stands on the first, and the next one is the fourth; nothing is hidden."""
     world = TowerWorld(TOWER, person, cubes=4)
     belief = world.initial_belief()
@@ -228,7 +228,27 @@ def test_nothing_is_done_to_what_is_not_there() -> None:
         assert belief["obstacles"] == ()
 
 
-def test_who_does_what_nobody_knows_is_refused() -> None:
-    with pytest.raises(ValueError, match="person is 'kick'; expected none, or some of knock, move"):
-        TowerWorld(TOWER, "kick")
+@pytest.mark.parametrize("person", ["kick", ["knock", "kick"], 3, None, {"knock": None}, [3]])
+def test_who_does_what_nobody_knows_is_refused(person: Any) -> None:
+    with pytest.raises(ValueError, match=r"person is .*; expected none, or one of knock, move, .*, or a list of such"):
+        TowerWorld(TOWER, person)
+
+
+def test_all_that_somebody_may_do_is_tested() -> None:
     assert set(ACTS) == {"knock", "move", "swap", "take", "help", "cover", "remove", "push"}
+
+
+def test_a_removed_cube_comes_back_to_where_there_is_room_by_then() -> None:
+    """What is put down where it would have come, while it is away, is not touched."""
+    world, belief = begun("remove")
+    free = until_done(world, belief)[-1]["bodies"][3]["pose"]
+    beliefs = [belief]
+    while beliefs[-1]["bodies"][3]["pose"][0, 3] < 0.8:
+        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=1)))
+    there = free.copy()
+    there[2, 3] = beliefs[-1]["bodies"][1]["side_m"] / 2
+    placed = tuple({**body, "pose": there} if body["id"] == 2 else body for body in beliefs[-1]["bodies"])
+    last = until_done(world, {**beliefs[-1], "bodies": placed})[-1]["bodies"]
+    assert stays(last[1]["pose"][:3, 3] - there[:3, 3])
+    assert last[3]["pose"][2, 3] < 0.03
+    assert np.linalg.norm(last[3]["pose"][:2, 3] - there[:2, 3]) > 0.05

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Mapping
 from itertools import permutations
 from typing import Any
 
@@ -11,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hierax.nodes.picking.phases import RETREAT, WATCH
 from hierax.nodes.tower.builder import Builder, TeleoReactive, builder
-from hierax.nodes.tower.planner import HAND, LOOK, UNKNOWN, Blocks, OpenLoop, Planner, planned
-from hierax.nodes.tower.rules import TABLE, Step
+from hierax.nodes.tower.doing import DOING, DONE, FAILED
+from hierax.nodes.tower.planner import HAND, UNKNOWN, UNSETTLED, Blocks, OpenLoop, Planner, planned
+from hierax.nodes.tower.rules import LOOKED_FOR, Step
 from hierax.nodes.tower.symbols import Symbols
 from hierax.nodes.tracking.math.geometry import make_pose
+from hierax.nodes.tracking.schema import TABLE
 
 CUBES = 4
 SETTINGS = settings(deadline=None, derandomize=True)
@@ -37,7 +39,7 @@ def laid_out(rng: random.Random) -> Blocks:
 def after(blocks: Blocks, step: Step) -> Blocks:
     """What becomes of the blocks; the step has to be possible."""
     cube, onto = step
-    if onto == LOOK:
+    if onto == LOOKED_FOR:
         assert blocks[cube] == UNKNOWN
         return {**blocks, cube: TABLE}
     assert blocks[cube] != UNKNOWN
@@ -61,9 +63,11 @@ def shortest(blocks: Blocks, orders: list[tuple[int, ...]]) -> int:
         following = []
         for way in ways:
             for cube in way:
-                for onto in (TABLE, LOOK, *way):
+                for onto in (TABLE, LOOKED_FOR, *way):
                     try:
-                        reached = after(way, (cube, onto)) if onto not in (cube, way[cube]) or onto == LOOK else way
+                        reached = (
+                            after(way, (cube, onto)) if onto not in (cube, way[cube]) or onto == LOOKED_FOR else way
+                        )
                     except AssertionError:
                         continue
                     key = tuple(sorted(reached.items()))
@@ -80,6 +84,7 @@ def test_a_plan_builds_the_tower_in_the_fewest_steps(number: int, height: int, f
     rng = random.Random(number)
     blocks, tower = laid_out(rng), tuple(rng.sample(range(1, CUBES + 1), height))
     plan = planned((frozenset(tower) if free else tower,), blocks)
+    assert plan is not None
     orders = list(permutations(tower)) if free else [tower]
     assert len(plan) == shortest(blocks, orders), (number, blocks, tower, plan)
     for step in plan:
@@ -87,14 +92,17 @@ def test_a_plan_builds_the_tower_in_the_fewest_steps(number: int, height: int, f
     assert any(stands(blocks, order) for order in orders), (number, plan)
 
 
-def seen(blocks: Blocks, phase: str = WATCH, **doubts: int) -> dict[str, Any]:
+IDLE = {"skill": "look", "cube": None, "onto": None, "status": "doing", "looks": True}
+
+
+def seen(blocks: Blocks, skill: Mapping[str, Any] = IDLE, **doubts: int) -> dict[str, Any]:
     """Arguments of `decided`, but for the belief."""
     on = tuple(sorted((cube, lower) for cube, lower in blocks.items() if lower > 0))
     table = tuple(cube for cube, lower in blocks.items() if lower == TABLE)
     unknown = tuple(cube for cube, lower in blocks.items() if lower == UNKNOWN)
     holding = next((cube for cube, lower in blocks.items() if lower == HAND), None)
     symbols = Symbols(on, table, unknown, holding, {}, (), doubts)
-    return {"symbols": symbols, "skill": {"phase": phase, "goal": None, "holding": holding}}
+    return {"symbols": symbols, "skill": {**skill, "holding": holding}}
 
 
 class Played:
@@ -103,10 +111,10 @@ class Played:
     def __init__(self, node: Builder) -> None:
         self.node, self.belief = node, node.initial_belief()
 
-    def sees(self, blocks: Blocks, goal: Step | None = None, phase: str = WATCH, **doubts: int) -> tuple[Any, ...]:
-        """The rule, and what is wished for."""
-        given = seen(blocks, phase, **doubts)
-        given["skill"]["goal"] = goal
+    def sees(self, blocks: Blocks, step: Step | None = None, status: str = DOING, **doubts: int) -> tuple[Any, ...]:
+        """The rule, and what is wished for, while a step is done."""
+        cube, onto = step or (None, None)
+        given = seen(blocks, {**IDLE, "cube": cube, "onto": onto, "status": status}, **doubts)
         wish, plan = self.node.decided(**given, belief=self.belief)
         self.belief = {**self.belief, **wish._asdict(), **plan._asdict()}
         return tuple(wish)
@@ -131,7 +139,7 @@ def test_what_somebody_else_changes_is_planned_again() -> None:
     played.sees(FLAT)
     assert played.sees({**FLAT, 3: 1}) == ("planned again", 3, TABLE)
     assert played.sees({**FLAT, 2: 1, 3: 2}) == ("done", None, TABLE)
-    assert played.sees({**FLAT, 2: 1, 3: UNKNOWN}) == ("look for 3", None, TABLE)
+    assert played.sees({**FLAT, 2: 1, 3: UNKNOWN}) == ("planned again", 3, LOOKED_FOR)
     assert played.sees({**FLAT, 2: 1}) == ("as planned", 3, 2)
     assert played.sees({**FLAT, 1: HAND}) == ("planned again", 1, TABLE)
 
@@ -140,9 +148,26 @@ def test_open_loop_goes_by_what_the_hand_says_alone() -> None:
     played = Played(OpenLoop([1, 2, 3], 3))
     assert played.sees(FLAT)[1:] == (2, 1)
     assert played.sees({**FLAT, 1: 3})[1:] == (2, 1)
-    assert played.sees(FLAT, (2, 1), RETREAT)[1:] == (3, 2)
-    assert played.sees(FLAT, (2, 1), RETREAT)[1:] == (3, 2)
-    assert played.sees(FLAT, (3, 2), RETREAT)[0] == "done"
+    assert played.sees(FLAT, (2, 1), DONE)[1:] == (3, 2)
+    assert played.sees(FLAT, (2, 1), DONE)[1:] == (3, 2)
+    assert played.sees(FLAT, (3, 2), FAILED)[0] == "done"
+
+
+def test_what_is_not_settled_is_planned_with_once() -> None:
+    """A cube that leans on another one, say: as long as it does, the plan holds."""
+    leans = {**FLAT, 4: UNSETTLED}
+    played = Played(Planner([1, 2, 3], 4))
+    assert played.sees(leans) == ("planned", 2, 1)
+    assert [played.sees(leans)[0] for _ in range(3)] == ["as planned"] * 3
+    assert played.sees({**leans, 2: 1}) == ("as planned", 3, 2)
+    assert played.sees({**leans, 2: UNSETTLED, 3: TABLE})[1:] == (2, 1), "what was put there is there no more"
+
+
+def test_of_what_cannot_be_nothing_is_planned() -> None:
+    assert planned(((1, 2),), {1: 2, 2: 1}) is None
+    played = Played(Planner([1, 2], 2))
+    assert played.sees({1: 2, 2: 1}) == ("look", None, TABLE)
+    assert played.sees({1: TABLE, 2: TABLE}) == ("planned", 2, 1)
 
 
 def item(number: int) -> dict[str, Any]:
@@ -160,10 +185,13 @@ def test_builders_take_one_another_s_place() -> None:
     reactive.belief = planner.belief
     assert reactive.sees({**FLAT, 2: 1})[1:] == (3, 2)
     assert reactive.belief["plan"] == ()
-    told = reactive.node.observe((item(1), item(2), item(3), {"skill": seen(FLAT)["skill"]}), reactive.belief)
+    hand = {"hand": {"gripper": np.eye(4), "width": 0.08}, "carried": ()}
+    told = reactive.node.observe((item(1), item(2), item(3), hand, {"skill": seen(FLAT)["skill"]}), reactive.belief)
     assert told["symbols"]["certainty"]
     assert planner.node.take_over(told) == told
-    for wrong in ({}, {**told, "symbols": {}}, {**told, "rule": 1}, 3):
+    symbols = told["symbols"]
+    wrong_symbols = ({}, 3, None, {**symbols, "on": 3}, {**symbols, "certainty": 1}, {**symbols, "more": ()})
+    for wrong in ({}, {**told, "rule": 1}, 3, *({**told, "symbols": each} for each in wrong_symbols)):
         with pytest.raises(ValueError, match="belief"):
             planner.node.take_over(wrong)
 

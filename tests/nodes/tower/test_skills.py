@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hierax.nodes.picking.commands import REST
 from hierax.nodes.picking.panda import HOME_GRIPPER
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
+from hierax.nodes.tower.doing import DOING, DONE, FAILED, MAKE_ROOM, PLACE_ON_TABLE, doing
 from hierax.nodes.tower.moving import CARRY, LOWER, MOST_TRIED, OPEN, OVER, VIEW_S, VIEWS
 from hierax.nodes.tower.placing import free_spots
 from hierax.nodes.tower.reaching import reach
-from hierax.nodes.tower.skills import REST, SkillsNode, gripper_commands, held_and_standing, scene_and_skill
+from hierax.nodes.tower.rules import LOOKED_FOR
+from hierax.nodes.tower.skills import SkillsNode, gripper_commands, held_and_standing, scene_and_skill
+from hierax.nodes.tower.tasks import LOOK, PLACE, goal_of, name_of, task_of
 from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose
 from hierax.runtime import Tick
 
@@ -45,9 +49,9 @@ class Obedient:
         return {"id": number, "pose": self.poses[number], **known}
 
     def epoch(self, task: tuple[int, int] | None) -> Any:
-        seen = (*map(self.cube, self.poses), {"hand": {"gripper": self.gripper, "width": self.width}})
+        seen = (*map(self.cube, self.poses), {"hand": {"gripper": self.gripper, "width": self.width}, "carried": ()})
         self.belief = self.node.observe(seen, self.belief, Tick(time_s=self.time_s))
-        tasks = () if task is None else ({"cube": task[0], "onto": task[1]},)
+        tasks = () if task is None else (task_of(*task),)
         actions = self.node.policies()[self.node.select_policy(tasks)](self.belief)
         self.belief = self.node.predict((), actions, self.belief)
         (wish,) = gripper_commands(actions)
@@ -122,13 +126,14 @@ def test_what_is_seen_from_elsewhere_alone_is_taken_from_there() -> None:
     assert world.belief["view"] == 2
 
 
-def test_what_is_asked_for_by_turns_keeps_the_camera_from_no_other_side() -> None:
+@pytest.mark.parametrize("other", [None, (3, LOOKED_FOR)])
+def test_what_is_asked_for_by_turns_keeps_the_camera_from_no_other_side(other: tuple[int, int] | None) -> None:
     world = Obedient()
     world.statuses[3] = "lost"
     while world.belief["view"] == 0:
-        world.epoch(None)
-    turns = [(3, 1), None]
-    views = [world.epoch(turns[epoch // 20 % 2])["gripper"] for epoch in range(int(3 * (VIEW_S + 0.2) / 0.05))]
+        world.epoch(other)
+    turns, epochs = [(3, 1), other], int((len(VIEWS) - 1) * (VIEW_S + 0.2) / 0.05)
+    views = [world.epoch(turns[epoch // 20 % 2])["gripper"] for epoch in range(epochs)]
     assert all(any(view is each for view in views) for each in VIEWS[1:])
 
 
@@ -193,7 +198,9 @@ def test_which_cube_is_held_is_told_up_and_down() -> None:
         world.until(phase, (2, 1))
         put = (2,) if phase == OPEN else ()
         assert held_and_standing(world.belief) == ({"held": held, "stands": put, "looks": False},)
-        assert scene_and_skill(world.belief)[-1]["skill"] == {"phase": phase, "goal": (2, 1), "holding": held}
+        skill = "pick" if phase in (CLOSE, LIFT) else "place"
+        does = {"skill": skill, "cube": 2, "onto": 1, "status": "doing", "holding": held, "looks": False}
+        assert scene_and_skill(world.belief)[-1]["skill"] == does
 
 
 @pytest.mark.parametrize("phase", [WATCH, OVER, APPROACH])
@@ -245,10 +252,62 @@ def test_without_a_task_the_arm_watches() -> None:
     assert world.node.select_policy(()) == REST
 
 
-@pytest.mark.parametrize("name", ["", "move", "move 1 onto", "move 1 on 2", "move x onto 2", "move 1 onto 2 3"])
+@pytest.mark.parametrize(
+    "name", ["", "place", "place 1 on", "place 1 onto 2", "place x on 2", "place 1 on 2 3", "look for", "look at 1"]
+)
 def test_what_is_no_task_s_policy_is_none(name: str) -> None:
     with pytest.raises(KeyError):
         SkillsNode().policies()[name]
+
+
+@pytest.mark.parametrize("goal", [(3, 1), (12, 0), (2, LOOKED_FOR)])
+def test_a_task_s_name_says_what_it_is_to_bring_about(goal: tuple[int, int]) -> None:
+    assert goal_of(name_of((task_of(*goal),))) == goal
+
+
+@pytest.mark.parametrize(
+    "task", [{}, {"skill": "jump", "cube": 1}, {"skill": PLACE, "cube": 1}, {"skill": LOOK, "cube": "1"}]
+)
+def test_what_is_no_task_is_refused(task: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"a task of the skills node is .*; expected"):
+        SkillsNode().select_policy((task,))
+
+
+def test_what_is_asked_to_be_looked_for_is_looked_for_until_it_is_seen() -> None:
+    world = Obedient()
+    world.statuses[3] = "lost"
+    for _ in range(int(2.5 * VIEW_S / 0.05)):
+        world.epoch((3, LOOKED_FOR))
+    look = {"skill": LOOK, "cube": 3, "onto": LOOKED_FOR}
+    assert (world.belief["view"], doing(world.belief)) == (2, {**look, "status": DOING})
+    world.statuses.clear()
+    world.epoch((3, LOOKED_FOR))
+    assert doing(world.belief) == {**look, "status": DONE}
+    assert world.phases == [WATCH]
+
+
+def test_a_look_that_is_asked_for_while_a_cube_is_carried_waits() -> None:
+    world = Obedient()
+    world.until(LIFT, (2, 1))
+    world.until(OPEN, (2, LOOKED_FOR))
+    assert world.belief["goal"] == (2, 1)
+    world.until(WATCH, (2, LOOKED_FOR))
+    assert world.belief["asked"] == (2, LOOKED_FOR)
+
+
+def test_how_a_skill_goes_is_told() -> None:
+    world, told = Obedient(), []
+    while WATCH not in world.phases[1:]:
+        world.epoch((2, 1))
+        now = doing(world.belief)["skill"], doing(world.belief)["status"]
+        told += [now] if told[-1:] != [now] else []
+    assert told == [(REST, DOING), (LOOK, DOING), ("pick", DOING), (PLACE, DOING), (PLACE, DONE), (LOOK, DOING)]
+    world.slips = True
+    world.until(RETREAT, (3, 0))
+    assert doing(world.belief) == {"skill": "pick", "cube": 3, "onto": 0, "status": FAILED}
+    world.slips = False
+    world.until(OPEN, (3, 0))
+    assert doing(world.belief)["skill"] == PLACE_ON_TABLE
 
 
 def hemmed_in(*near: tuple[float, float]) -> Obedient:
@@ -273,6 +332,7 @@ def test_what_is_in_the_way_is_moved_aside_first(near: list[tuple[float, float]]
         aside = world.belief["target"]
         if aside != 2:
             assert world.belief["goal"] == (aside, 0)
+            assert doing(world.belief) == {"skill": MAKE_ROOM, "cube": aside, "onto": 0, "status": DOING}
             assert aside != 1  # what it comes onto stays
             world.until(OPEN, (2, 1))
             assert world.belief["target"] == aside

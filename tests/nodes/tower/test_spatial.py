@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from hierax.nodes.picking.layout import planned
+from hierax.nodes.picking.tracker import spatial as picking_spatial
 from hierax.nodes.tower.spatial import FIRM_EPOCHS, ODD_EPOCHS, SLIPS_M, STANDS_M, spatial
 from hierax.nodes.tracking.math.geometry import make_pose
 from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
 from hierax.runtime import Tick
+from hierax.runtime.core.difference import first_unlike
 
 CUBES = 3
 LOOKS = {"held": None, "stands": (), "looks": True}
@@ -276,3 +278,14 @@ def test_before_it_is_known_how_a_cube_is_held_it_is_where_it_is_seen() -> None:
     scene = held_for(FIRM_EPOCHS - 3)
     scene.move(0.003, 0.0, -0.010)
     np.testing.assert_allclose(scene.epochs(1)["pose"], scene.places[2], atol=1e-9)
+
+
+def test_without_context_it_believes_what_picking_believes() -> None:
+    """Nothing is lost for being odd: what the hand holds is in the air."""
+    node, plain, belief = spatial(0, CUBES), picking_spatial(0, CUBES), shown(pose=lifted(0.1))
+    known = {name: belief[name] for name in plain.initial_belief()}
+    for _ in range(ODD_EPOCHS + 5):
+        after, wanted = node.predict((), (), belief), plain.predict((), (), known)
+        assert first_unlike({name: after[name] for name in wanted}, wanted, "") is None
+        belief, known = ({**each, "bodies": belief["bodies"]} for each in (after, wanted))
+    assert status_after(belief, 1, LOOKS) == TRACKED

@@ -40,6 +40,21 @@ def test_a_stack_stays_where_it_is() -> None:
         assert angle < np.radians(1.0)
 
 
+def test_who_carries_whom_is_told_by_the_forces() -> None:
+    """A bridge on two boxes, one more that only leans against them from beside, and one that falls."""
+    wide = Solid(CORNERS * [0.08, 0.03, 0.03], 0.3)
+    solids = [box(), box(), wide, box(), box()]
+    places = [(0.0, 0.03), (0.1, 0.03), (0.05, 0.09), (0.1598, 0.03), (0.4, 0.3)]
+    simulator = Simulator()
+    assert simulator.carried() == []
+    simulator.run(solids, [resting(*place) for place in places], 1 / 20)
+    assert simulator.carried() == [(0, None), (1, None), (2, 0), (2, 1), (3, None)]
+    simulator.run(solids[:1], [resting(0.0, 0.03)], 1 / 20)
+    assert simulator.carried() == [(0, None)]
+    simulator.run([], [], 1 / 20)
+    assert simulator.carried() == []
+
+
 def test_bodies_that_interpenetrate_are_pushed_apart() -> None:
     solids, motions = [box(), box()], [resting(0.0, 0.03), resting(0.052, 0.03)]
     simulator = Simulator()
