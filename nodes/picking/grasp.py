@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M
 from hierax.nodes.picking.phases import (
-    AIM_S,
     APPROACH,
     CLOSE,
     DESCEND,
@@ -15,9 +14,10 @@ from hierax.nodes.picking.phases import (
     LOOK_S,
     RETREAT,
     SLOW_M_S,
-    STILL_M,
-    STILL_S,
     WATCH,
+    after_approach,
+    after_close,
+    after_descend,
     aimed,
     entered,
     has_reached,
@@ -109,24 +109,7 @@ class GraspNode(Node):
         grasp = {"target": target, "box_from_gripper": box_from_gripper, "box_width": box_width}
         return entered(aimed({**belief, **grasp, "attempts": belief["attempts"] + 1}), APPROACH, time_s)
 
-    def _after_approach(self, belief: Value, time_s: float) -> Value:
-        """The grasp follows the cube as long as that is tracked; then down, when the gripper is above it."""
-        belief = aimed(belief)
-        belief = steadied(belief, has_reached(belief, before(belief["gripper"])), time_s)
-        return entered(belief, DESCEND, time_s) if is_steady(belief, time_s, AIM_S) else unless_late(belief, time_s)
-
-    def _after_descend(self, belief: Value, time_s: float) -> Value:
-        """Where the cube was seen last is where it is taken: so near it is at the border of the view."""
-        return entered(belief, CLOSE, time_s) if has_reached(belief, belief["gripper"]) else unless_late(belief, time_s)
-
-    def _after_close(self, belief: Value, time_s: float) -> Value:
-        """The fingers stand still: on the cube, or on one another."""
-        width = belief["hand"]["width"]
-        belief = steadied(belief, abs(width - belief["width"]) < STILL_M, time_s)
-        belief = {**belief, "width": width}
-        if not is_steady(belief, time_s, STILL_S):
-            return unless_late(belief, time_s)
-        return entered(belief, LIFT if is_filled(belief) else RETREAT, time_s)
+    _after_approach, _after_descend, _after_close = map(staticmethod, (after_approach, after_descend, after_close))
 
     def _after_lift(self, belief: Value, time_s: float) -> Value:
         """Up, unless the cube is lost on the way."""

@@ -2,13 +2,15 @@
 
 A belief here has ``phase`` and ``since_s`` (when it began), ``steady_s`` (since when what the phase waits for holds;
 None while it does not), ``bodies`` and ``hand`` (see `hierax.nodes.picking.tracker.scene_known`), ``target`` (id of a
-cube), ``box_from_gripper`` and ``box_width`` (m) of the chosen grasp, and ``gripper`` (world_from_gripper there)."""
+cube), ``box_from_gripper`` and ``box_width`` (m) of the chosen grasp, ``gripper`` (world_from_gripper there) and
+``width`` (m, between the fingers, when they were last looked at)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from hierax.nodes.picking.planning import before
 from hierax.nodes.tracking.math.geometry import Floats, pose_error
 from hierax.runtime import Value
 
@@ -64,6 +66,31 @@ def aimed(belief: Value) -> Value:
     if belief["gripper"] is not None and not is_sure(target):
         return belief
     return {**belief, "gripper": target["pose"] @ belief["box_from_gripper"]}
+
+
+Late = Callable[[Value, float], Value]
+"""What becomes of a belief whose phase takes long: the same, or that in which it is given up."""
+
+
+def after_approach(belief: Value, time_s: float, late: Late = unless_late) -> Value:
+    """The grasp follows the cube as long as that is tracked; then down, when the gripper is above it."""
+    belief = aimed(belief)
+    belief = steadied(belief, has_reached(belief, before(belief["gripper"])), time_s)
+    return entered(belief, DESCEND, time_s) if is_steady(belief, time_s, AIM_S) else late(belief, time_s)
+
+
+def after_descend(belief: Value, time_s: float, late: Late = unless_late) -> Value:
+    """Where the cube was seen last is where it is taken: so near it is at the border of the view."""
+    return entered(belief, CLOSE, time_s) if has_reached(belief, belief["gripper"]) else late(belief, time_s)
+
+
+def after_close(belief: Value, time_s: float) -> Value:
+    """The fingers stand still: on the cube, or on one another."""
+    width = belief["hand"]["width"]
+    belief = {**steadied(belief, abs(width - belief["width"]) < STILL_M, time_s), "width": width}
+    if not is_steady(belief, time_s, STILL_S):
+        return unless_late(belief, time_s)
+    return entered(belief, LIFT if is_filled(belief) else RETREAT, time_s)
 
 
 def has_reached(belief: Value, gripper: Floats) -> bool:

@@ -3,6 +3,7 @@
 A belief is that of `hierax.nodes.tower.skills.SkillsNode`."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -16,9 +17,11 @@ from hierax.nodes.picking.phases import (
     LIFT,
     LOOK_S,
     RETREAT,
-    STILL_M,
     STILL_S,
     WATCH,
+    after_approach,
+    after_close,
+    after_descend,
     aimed,
     entered,
     has_reached,
@@ -27,7 +30,6 @@ from hierax.nodes.picking.phases import (
     is_steady,
     is_sure,
     steadied,
-    unless_late,
 )
 from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
@@ -163,25 +165,10 @@ def _after_over(belief: Value, time_s: float) -> Value:
     return entered(belief, APPROACH, time_s) if has_reached(belief, over(belief)) else _unless_late(belief, time_s)
 
 
-def _after_approach(belief: Value, time_s: float) -> Value:
-    """The grasp follows the cube as long as that is tracked; then down, when the gripper is above it."""
-    belief = aimed(belief)
-    belief = steadied(belief, has_reached(belief, before(belief["gripper"])), time_s)
-    return entered(belief, DESCEND, time_s) if is_steady(belief, time_s, AIM_S) else _unless_late(belief, time_s)
-
-
-def _after_descend(belief: Value, time_s: float) -> Value:
-    return entered(belief, CLOSE, time_s) if has_reached(belief, belief["gripper"]) else _unless_late(belief, time_s)
-
-
 def _after_close(belief: Value, time_s: float) -> Value:
-    """The fingers stand still: on the cube, or on one another."""
-    width = belief["hand"]["width"]
-    belief = steadied(belief, abs(width - belief["width"]) < STILL_M, time_s)
-    belief = {**belief, "width": width}
-    if not is_steady(belief, time_s, STILL_S):
-        return unless_late(belief, time_s)
-    return entered({**belief, "tried": ()}, LIFT if is_filled(belief) else RETREAT, time_s)
+    """To the cube the hand has come."""
+    after = after_close(belief, time_s)
+    return after if after["phase"] == CLOSE else {**after, "tried": ()}
 
 
 def _after_lift(belief: Value, time_s: float) -> Value:
@@ -273,8 +260,8 @@ def _after_retreat(belief: Value, time_s: float) -> Value:
 AFTER = {
     WATCH: _after_watch,
     OVER: _after_over,
-    APPROACH: _after_approach,
-    DESCEND: _after_descend,
+    APPROACH: partial(after_approach, late=_unless_late),
+    DESCEND: partial(after_descend, late=_unless_late),
     CLOSE: _after_close,
     LIFT: _after_lift,
     CARRY: _after_carry,

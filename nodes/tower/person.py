@@ -20,6 +20,7 @@ _LATE_S = 2.0  # a stop that is not reached is given up so long after it should 
 _REACHED_M = 0.004
 _TURN_RAD_S = 2.0
 _MISSES_M = 0.02  # what is farther from the palm is not gripped
+_MOVED_M = 0.01
 _LEASH_M = 0.04  # a hand that is farther behind is drawn as if it were so far: one that comes free flings nothing away
 _PERSON = 5  # of the numbers that are drawn
 
@@ -30,7 +31,8 @@ _FOREARM_M = (0.05, 0.05, 0.11)  # of each of the pieces behind the palm, drawn 
 def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) -> tuple[Value, Guest | None]:
     """What the person believes a frame later, and what the hand does in it; None: it is not there.
 
-    The belief: ``done``, how many interferences are over; ``pause_s`` until the next one (None: it cannot begin yet);
+    The belief: ``done``, how many interferences are over, and in how many of them a cube was gripped or moved
+    (``happened``; of the present one ``touched``, and ``from``, where each cube was, m); ``pause_s`` until the next one (None: it cannot begin yet);
     ``stops`` of the present one, maps of `Stop`'s fields; ``hand`` (world_from_palm), ``velocity`` (6,), ``target`` (of
     the hand, as ``hand``), ``holds`` (palm_from_cube; None: nothing), ``late_s`` (how long the present stop takes
     longer than it should)."""
@@ -47,6 +49,7 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
         belief = {**belief, "stops": (*back, *belief["stops"][1:])}
         stop = Stop(**belief["stops"][0])
     belief = _gripping(belief, stop, scene)
+    belief = {**belief, "touched": belief["touched"] or belief["holds"] is not None or _has_moved(belief, scene)}
     target, there = _advanced(belief["target"], stop, scene, interval_s)
     grip = Grip(stop.grip, belief["holds"]) if belief["holds"] is not None else None
     slack = _slack(belief)
@@ -73,7 +76,10 @@ def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:
     if left and left[0]["onward"]:
         left = ({**left[0], "to": left[0]["to"] + belief["target"][:3, 3], "onward": False}, *left[1:])
     after = {**belief, "stops": left, "late_s": 0.0}
-    return after if left else {**after, "holds": None, "done": belief["done"] + stop.counts, "pause_s": None}
+    if left:
+        return after
+    happened = belief["happened"] + (stop.counts and belief["touched"])
+    return {**after, "holds": None, "done": belief["done"] + stop.counts, "happened": happened, "pause_s": None}
 
 
 def obstacles(belief: Value) -> tuple[Mapping[str, Any], ...]:
@@ -93,6 +99,9 @@ def obstacles(belief: Value) -> tuple[Mapping[str, Any], ...]:
 
 NOBODY: Value = {
     "done": 0,
+    "happened": 0,
+    "touched": False,
+    "from": {},
     "pause_s": None,
     "stops": (),
     "holds": None,
@@ -143,8 +152,16 @@ def _begun(belief: Value, scene: Scene, names: Sequence[str], interval_s: float)
     side = np.sign(stops[0].to[1]) or 1.0
     home = HOME_M * (1.0, side, 1.0)
     there = make_pose(np.eye(3), home)
+    begun = {"touched": False, "from": {str(number): body["pose"][:3, 3] for number, body in scene.bodies.items()}}
     every = tuple(stop._asdict() for stop in (*stops, Stop(home)))
-    return {**belief, "pause_s": pause_s, "stops": every, "hand": there, "target": there, "velocity": np.zeros(6)}
+    hand = {"hand": there, "target": there, "velocity": np.zeros(6)}
+    return {**belief, **begun, **hand, "pause_s": pause_s, "stops": every}
+
+
+def _has_moved(belief: Value, scene: Scene) -> bool:
+    """Whether a cube is elsewhere than when the interference began, and not in the robot's hand."""
+    places = {str(number): body["pose"][:3, 3] for number, body in scene.bodies.items() if number not in scene.raised}
+    return any(float(np.linalg.norm(place - belief["from"][name])) > _MOVED_M for name, place in places.items())
 
 
 def _gripping(belief: Value, stop: Stop, scene: Scene) -> Value:

@@ -90,8 +90,8 @@ class TowerWorld(PickWorld):
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """By the truth: how many towers stand, how far the middle of a cube in them is beside that of the one below at
-        most (mm; -1 where none stands on another), how many times a cube was raised, and how often somebody has
-        interfered."""
+        most (mm; -1 where none stands on another), how many times a cube was raised, and in how many
+        interferences of somebody one was gripped or moved."""
         bodies = {body["id"]: body for body in belief["bodies"]}
         done = [order for tower in self._towers if (order := _order_built(tower, bodies)) is not None]
         beside = [_beside_mm(bodies[upper], bodies[lower]) for tower in done for lower, upper in pairwise(tower)]
@@ -99,7 +99,7 @@ class TowerWorld(PickWorld):
             "towers_done": float(len(done)),
             "placed_mm_max": max(beside, default=-1.0),
             "actions": float(belief["actions"]),
-            "interferences": float(belief["person"]["done"]),
+            "interferences": float(belief["person"]["happened"]),
         }
 
     def _seen(self, belief: Value, seed: int) -> Scene:

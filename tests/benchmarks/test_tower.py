@@ -50,6 +50,18 @@ def test_three_are_drawn_for_each_scene_and_a_context_is_left_out(ran: Ran) -> N
     assert all(set_to["cubes"] == "5" for _, set_to in ran)
 
 
+@pytest.mark.slow
+def test_what_is_left_out_is_missed_by_the_nodes() -> None:
+    """The deployment has an edge of that name, and without it, or with another function, nodes believe otherwise."""
+    given = {"cubes": "2", "tower": "[1, 2]", "frames": "12"}
+    digests = {
+        without: tower_scenes.episode("run", tower_scenes.settings(given, 0, without))["digest"]
+        for without in (None, *tower_scenes.CONTEXTS)
+    }
+    assert len(set(digests.values())) >= 3, digests
+    assert digests["spatial"] != digests[None] != digests["skills"]
+
+
 def test_a_scene_that_is_not_done_and_a_launch_with_another_digest_are_told(
     ran: Ran, capsys: pytest.CaptureFixture[str]
 ) -> None:
