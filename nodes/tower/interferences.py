@@ -17,7 +17,7 @@ Body = Mapping[str, Any]
 HOME_M = np.array([0.95, 0.45, 0.35])  # where the hand comes from, and goes to; or as far on the other side
 FAST_M_S, SLOW_M_S = 0.8, 0.08
 AWAY_S = (5.0, 10.0)  # how long a cube that was removed is away, from and to
-_KEEPS_M = 0.15  # a careful person does not begin anything so near to the gripper
+KEEPS_M = 0.15  # a careful person does not come so near to the gripper
 _OVER_M = 0.10  # so high over what it grips the hand comes and goes
 _PUSHED_M = 0.05
 _DIAGONAL = 2**0.5
@@ -75,7 +75,7 @@ class Scene(NamedTuple):
     def is_free(self, *numbers: int) -> bool:
         """Whether the robot's gripper is away from cubes, and does not hold them."""
         places = [self.bodies[number]["pose"][:3, 3] for number in numbers]
-        near = any(np.linalg.norm(place - self.gripper) < _KEEPS_M for place in places)
+        near = any(np.linalg.norm(place - self.gripper) < KEEPS_M for place in places)
         return not near and not set(numbers).intersection(self.raised)
 
     def spot(self, number: int) -> Floats:

@@ -19,6 +19,7 @@ from hierax.nodes.picking.phases import (
     RETREAT,
     STILL_S,
     WATCH,
+    Late,
     after_approach,
     after_close,
     after_descend,
@@ -257,7 +258,7 @@ def _after_retreat(belief: Value, time_s: float) -> Value:
     return after if frees is None or not moves else {**after, "goal": (frees, TABLE), "frees": frees}
 
 
-AFTER = {
+AFTER: Mapping[str, Late] = {
     WATCH: _after_watch,
     OVER: _after_over,
     APPROACH: partial(after_approach, late=_unless_late),

@@ -11,11 +11,12 @@ import numpy as np
 
 from hierax.nodes.picking.panda import gripper_at
 from hierax.nodes.picking.workcell import GUEST_HALF_M, Grip, Guest
-from hierax.nodes.tower.interferences import ACTS, HOME_M, Scene, Stop, brought
+from hierax.nodes.tower.interferences import ACTS, HOME_M, KEEPS_M, Scene, Stop, brought
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, log_so3, make_pose, project, transform
 from hierax.runtime import Value
 
 PAUSE_S = 1.5  # an interference begins at most so long after it could
+_LETS_PASS_S = 4.0  # so long in all a hand lets the gripper pass
 _LATE_S = 2.0  # a stop that is not reached is given up so long after it should have been
 _REACHED_M = 0.004
 _TURN_RAD_S = 2.0
@@ -31,11 +32,12 @@ _FOREARM_M = (0.05, 0.05, 0.11)  # of each of the pieces behind the palm, drawn 
 def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) -> tuple[Value, Guest | None]:
     """What the person believes a frame later, and what the hand does in it; None: it is not there.
 
-    The belief: ``done``, how many interferences are over, and in how many of them a cube was gripped or moved
-    (``happened``; of the present one ``touched``, and ``from``, where each cube was, m); ``pause_s`` until the next one (None: it cannot begin yet);
-    ``stops`` of the present one, maps of `Stop`'s fields; ``hand`` (world_from_palm), ``velocity`` (6,), ``target`` (of
-    the hand, as ``hand``), ``holds`` (palm_from_cube; None: nothing), ``late_s`` (how long the present stop takes
-    longer than it should)."""
+    The belief: ``done``, how many interferences are over, and ``happened``, in how many of them a cube was gripped or
+    moved; ``pause_s`` until the next one (None: it cannot begin yet). Of the present one: ``stops``, maps of `Stop`'s
+    fields; ``hand`` (world_from_palm), ``velocity`` (6,), ``target`` (of the hand, as ``hand``), ``holds``
+    (palm_from_cube; None: nothing); ``touched``, whether it counts as happened, and ``from``, where each cube was when
+    it began, m; ``late_s``, how long the present stop takes longer than it should, and ``waited_s``, how long the hand
+    has let the gripper pass."""
     if not belief["stops"]:
         belief = _begun(belief, scene, names, interval_s)
         if not belief["stops"]:
@@ -51,12 +53,21 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
     belief = _gripping(belief, stop, scene)
     belief = {**belief, "touched": belief["touched"] or belief["holds"] is not None or _has_moved(belief, scene)}
     target, there = _advanced(belief["target"], stop, scene, interval_s)
+    if _lets_pass(belief, stop, scene, target):
+        target, there = belief["target"], False
+        belief = {**belief, "waited_s": belief["waited_s"] + interval_s}
     grip = Grip(stop.grip, belief["holds"]) if belief["holds"] is not None else None
     slack = _slack(belief)
     start, end = (make_pose(each[:3, :3], each[:3, 3] - slack) for each in (belief["target"], target))
     guest = Guest(belief["hand"], belief["velocity"], start, end, grip)
     belief = {**belief, "target": target, "late_s": belief["late_s"] + interval_s if there else 0.0}
     return belief, guest
+
+
+def _lets_pass(belief: Value, stop: Stop, scene: Scene, target: Floats) -> bool:
+    """Whether a hand waits for the gripper to go by, on its way to a next target so near to that."""
+    now, then = (float(np.linalg.norm(pose[:3, 3] - scene.gripper)) for pose in (belief["target"], target))
+    return not stop.follows and then < min(now, KEEPS_M) and belief["waited_s"] < _LETS_PASS_S
 
 
 def _slack(belief: Value) -> Floats:
@@ -106,6 +117,7 @@ NOBODY: Value = {
     "stops": (),
     "holds": None,
     "late_s": 0.0,
+    "waited_s": 0.0,
     "hand": make_pose(np.eye(3), HOME_M),
     "target": make_pose(np.eye(3), HOME_M),
     "velocity": np.zeros(6),
@@ -152,7 +164,11 @@ def _begun(belief: Value, scene: Scene, names: Sequence[str], interval_s: float)
     side = np.sign(stops[0].to[1]) or 1.0
     home = HOME_M * (1.0, side, 1.0)
     there = make_pose(np.eye(3), home)
-    begun = {"touched": False, "from": {str(number): body["pose"][:3, 3] for number, body in scene.bodies.items()}}
+    begun = {
+        "touched": False,
+        "waited_s": 0.0,
+        "from": {str(number): body["pose"][:3, 3] for number, body in scene.bodies.items()},
+    }
     every = tuple(stop._asdict() for stop in (*stops, Stop(home)))
     hand = {"hand": there, "target": there, "velocity": np.zeros(6)}
     return {**belief, **begun, **hand, "pause_s": pause_s, "stops": every}

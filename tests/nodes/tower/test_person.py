@@ -12,6 +12,7 @@ from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M, gripper_down
 from hierax.nodes.picking.world import picture_and_hand_seen
 from hierax.nodes.tower.interferences import ACTS, FAST_M_S
+from hierax.nodes.tower.person import acted
 from hierax.nodes.tower.world import TowerWorld
 from hierax.runtime.core.node import Tick
 from hierax.schemas.values import decode_value, encode_value
@@ -155,6 +156,28 @@ def test_a_hand_draws_back_where_the_gripper_comes_and_tries_again() -> None:
     assert belief["person"]["done"] == 0
     assert np.linalg.norm(belief["bodies"][3]["pose"][:3, 3] - cube[:3, 3]) < 0.003
     assert moved(moves_m(until_done(world, belief)))
+
+
+def test_a_hand_lets_the_gripper_pass_but_not_for_ever() -> None:
+    world, belief = begun("move")
+    while belief["person"]["holds"] is None or belief["bodies"][3]["pose"][2, 3] < 0.08:
+        belief = world.predict((), REST, belief, Tick(seed=1))
+    person, scene = belief["person"], world._seen(belief, 1)
+    way = person["stops"][0]["to"] - person["target"][:3, 3]
+    way *= 0.1 / np.linalg.norm(way)
+
+    def steps(gripper: Any, count: int) -> list[float]:
+        """How far the hand is drawn in each of so many frames."""
+        after, found = person, []
+        for _ in range(count):
+            before = after["target"]
+            after, _ = acted(after, scene._replace(gripper=gripper), ["move"], 0.05)
+            found.append(float(np.linalg.norm((after["target"] - before)[:3, 3])))
+        return found
+
+    assert steps(person["target"][:3, 3] + way, 80) == [0.0] * 80
+    assert steps(person["target"][:3, 3] + way, 82)[-1] > 0.005
+    assert steps(person["target"][:3, 3] - way, 1)[0] > 0.005
 
 
 def test_a_hand_that_comes_free_flings_nothing() -> None:
