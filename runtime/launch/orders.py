@@ -145,11 +145,7 @@ class Orders:
         if settings or deployment.hosts or self.options.host or self.resumes:
             return {}
         roster = deployment.roster
-        return doors_of(roster, self.together(roster.nodes), run_folder(self.run_id))
-
-    def together(self, names: Iterable[str]) -> dict[str, list[str]]:
-        """The nodes of each process, by its name; a process of one node has the node's."""
-        return together(self.deployment, names)
+        return doors_of(roster, together(deployment, roster.nodes), run_folder(self.run_id))
 
     def _period_ms(self) -> float | None:
         """The time from an epoch to the next, where the world has a rate with the barrier."""

@@ -3,35 +3,20 @@
 A process then opens another session, has its nodes use it, and closes the one before."""
 
 from collections.abc import Callable, Iterable
-from typing import Protocol
 
 import anyio
 
+from hierax.runtime.launch.child import Child
 from hierax.runtime.launch.process_supervisor import Notify, ProcessSupervisor
+from hierax.runtime.launch.recorder_process import RecorderChild
 
 PARTS = 3  # of the time that certificates hold; when the first one is over, new ones come
 RENEWS_S = 60.0  # how long a process may take for it, until the next one's turn
 LOOK_S = 0.05
 
 
-class Shown(Protocol):
-    """A process that shows certificates."""
-
-    renewals: int  # how often it has gone on with a new one
-
-    @property
-    def name(self) -> str:
-        """By which people are told of it."""
-
-    @property
-    def is_up(self) -> bool:
-        """Whether it shows one at all."""
-
-    def renewed_secret(self) -> str:
-        """What it is to go on with: a certificate that is new."""
-
-    async def renew(self, secret: str) -> None:
-        """Tell it to go on with another certificate."""
+Shown = Child | RecorderChild
+"""A process that shows certificates."""
 
 
 async def renew_again_and_again(due: Callable[[], Iterable[Shown]], lifetime_s: float | None, notify: Notify) -> None:

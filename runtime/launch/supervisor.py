@@ -25,7 +25,7 @@ from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, new_process
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
 from hierax.runtime.launch.hosts import Hosts, Reached, reached
-from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError, access_of
+from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError, access_of, together
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
 from hierax.runtime.launch.renewal import Shown, one_of_each, renew_again_and_again
@@ -255,7 +255,7 @@ class Supervisor:
         tokens = {name: new_process(name) for name in roster.nodes}
         self._processes.members = tokens
         others = {} if self._orders.resumes else tokens
-        for process, names in self._orders.together(roster.nodes).items():
+        for process, names in together(self._deployment, roster.nodes).items():
             shares = process if len(names) > 1 else ""
             make = partial(self._orders.order, life=life, processes=others, shares=shares)
             await self._processes.start_together([make(name, tokens[name]) for name in names])

@@ -122,10 +122,8 @@ def load_function(target: str, where: str, allowance: Allowance) -> Callable[...
 def bind_node(
     name: str, node: Node, world: str, below: tuple[str, ...], above: tuple[str, ...], setting: OperatorSetting
 ) -> BoundNode:
-    """A node with its neighbours, ready to be called; `LoadError` if it cannot be, or just N₀ is to be a world."""
+    """A node with its neighbours, ready to be called; `LoadError` if it cannot be, or another than N₀ is a world."""
     where = f"nodes.{name}"
-    if name == world and not isinstance(node, World):
-        raise LoadError(f"the world's class must derive from World, {type(node).__name__} does not", f"{where}.class")
     try:
         if name != world:
             require_no_world(name, node)

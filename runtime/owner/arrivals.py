@@ -175,7 +175,8 @@ class Arrivals(OwnerPart):
     def _unsound(self, born: Born, epoch: int, attempt: int) -> str:
         """Why a process with a checkpoint of this attempt of an epoch cannot go on; its node was born so."""
         last, last_attempt = self.progress.epoch, self.progress.last_attempt
-        changed = self._changed_rates()
+        rates = self.members.roster.rates
+        changed = 0 if rates is None else rates.latest  # the epoch before was drained, so all have written it down
         if self._policy.rated and born[1] < changed and epoch < changed - 1:
             return f"its checkpoint is of epoch {epoch}, and rates have changed since, with epoch {changed}"
         if epoch == NEVER and last >= born[1] and not self._policy.rated:
@@ -190,12 +191,6 @@ class Arrivals(OwnerPart):
         if epoch in (NEVER, last, last + 1):
             return ""
         return f"its checkpoint is of epoch {epoch}, and the hierarchy is in epoch {last + 1}"
-
-    def _changed_rates(self) -> int:
-        """With which epoch rates have changed last; the one before was drained, so all have written it down."""
-        timing = self.members.roster.timing
-        began = () if timing is None else (*timing.since.values(), *(each.epoch for each in timing.began.values()))
-        return max(began, default=0)
 
     def _on_newcomer(self, word: Join, request: Request) -> None:
         newcomers = self.members.newcomers

@@ -15,7 +15,7 @@ from hierax.runtime.sim.inspection import Turn
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.scenario import Scenario
 from hierax.schemas.messages import Header
-from hierax.schemas.roster import Attach, Change, Detach, Roster
+from hierax.schemas.roster import Change, Detach, Roster, new_nodes
 from hierax.schemas.values import encode_value
 
 States = Mapping[str, ActiveNode]
@@ -254,5 +254,4 @@ def _holds(change: Change, roster: Roster) -> bool:
     """Whether a roster is one after a change."""
     if isinstance(change, Detach):
         return change.name not in roster.nodes
-    nodes = change.nodes if isinstance(change, Attach) else {change.name: change.reference}
-    return all(roster.nodes.get(name) == reference for name, reference in nodes.items())
+    return all(roster.nodes.get(name) == reference for name, reference in new_nodes(change).items())

@@ -15,7 +15,7 @@ from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.sim.checker import Checker, End
 from hierax.runtime.sim.inspection import Inspector, Turn
 from hierax.runtime.sim.journal import FAULT, VERDICT, WORD
-from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario, draw_change
+from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario
 from hierax.schemas.messages import Header
 from hierax.schemas.rates import EVERY_EPOCH, Rates, Turns
 from hierax.schemas.roster import Change, Detach, Replace
@@ -36,12 +36,13 @@ def with_rates(scenario: Scenario) -> Scenario:
     rng, roster = Random(f"{scenario.seed}/rates"), scenario.roster
     sensed = [edge.pair for edge in roster.edges if edge.sense is not None]
     rates = draw_rates(rng, sorted(roster.nodes.keys() - {roster.world}), list(roster.pairs), sensed)
-    proposals = tuple(replace(each, change=_rated(rng, each.change), alone=False) for each in scenario.proposals)
+    proposals = tuple(replace(each, change=rated(rng, each.change), alone=False) for each in scenario.proposals)
     roster = roster.with_rates(rates)
     return replace(scenario, roster=roster, proposals=proposals, on_loss={}, left_dead=frozenset(), trials_fail=False)
 
 
-def _rated(rng: Random, change: Change) -> Change:
+def rated(rng: Random, change: Change) -> Change:
+    """A change with rates for what is new in it."""
     if isinstance(change, Replace):
         return replace(change, turns=_turns(rng)) if rng.random() < 0.6 else change
     if isinstance(change, Detach):
@@ -50,11 +51,6 @@ def _rated(rng: Random, change: Change) -> Change:
         replace(edge, delay=_delay(rng), gather=edge.sense is not None and rng.random() < 0.3) for edge in change.edges
     )
     return replace(change, edges=edges, turns={name: _turns(rng) for name in sorted(change.nodes)})
-
-
-def draw_rated_change(rng: Random, there: list[str], generation: int) -> Change:
-    """A change of a hierarchy with these nodes, with rates."""
-    return _rated(rng, draw_change(rng, there, generation))
 
 
 def _turns(rng: Random) -> Turns:

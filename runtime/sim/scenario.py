@@ -7,7 +7,7 @@ from random import Random
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.sim.nodes import MODULE
 from hierax.schemas.control import Propose
-from hierax.schemas.roster import FUNCTIONS, Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
+from hierax.schemas.roster import FUNCTIONS, Attach, Change, Detach, Reference, Replace, Roster, RosterEdge, new_nodes
 
 CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"
 LOSS, DOUBLE, REORDER, DELAY, PARTITION = "loss", "double", "reorder", "delay", "partition"
@@ -79,9 +79,7 @@ class Proposal:
 
     @property
     def new_nodes(self) -> list[str]:
-        if isinstance(self.change, Attach):
-            return sorted(self.change.nodes)
-        return [self.change.name] if isinstance(self.change, Replace) else []
+        return sorted(new_nodes(self.change))
 
     @property
     def on_loss(self) -> Mapping[str, str]:

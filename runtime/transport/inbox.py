@@ -59,7 +59,7 @@ class Inbox:
         """Take messages from another queue from now on, after those that are in the one before."""
         with self._taking:
             while self._subscriber is not None and (sample := self._subscriber.try_recv()) is not None:
-                self._keep(sample, _bytes(sample))
+                self._keep(sample, bytes_of(sample))
             self._subscriber = subscriber
 
     def interrupt(self) -> None:
@@ -83,7 +83,7 @@ class Inbox:
             self._taken += 1
             if self._kept:
                 sample = self._kept.popleft()
-                self._kept_bytes -= _bytes(sample)
+                self._kept_bytes -= bytes_of(sample)
                 return sample
             if not waits:
                 return self._subscriber.try_recv()
@@ -144,7 +144,7 @@ class Inbox:
             while not self._putting.acquire(timeout=ROOM_S):
                 sample = self._subscriber.try_recv()
                 if sample is not None:
-                    self._keep(sample, _bytes(sample))
+                    self._keep(sample, bytes_of(sample))
             self._putting.release()
 
     def _keep(self, sample: zenoh.Sample, size: int) -> None:
@@ -158,7 +158,7 @@ class Inbox:
             sample = self._subscriber.try_recv() if small else None
             if sample is None:
                 return
-            key, size = str(sample.key_expr), _bytes(sample)
+            key, size = str(sample.key_expr), bytes_of(sample)
             small -= size < LARGE_BYTES
             if key not in wanted:
                 continue
@@ -168,5 +168,6 @@ class Inbox:
             self._keep(sample, size)
 
 
-def _bytes(sample: zenoh.Sample) -> int:
+def bytes_of(sample: zenoh.Sample) -> int:
+    """By how much a message counts for what may wait."""
     return max(len(sample.payload), SAMPLE_BYTES)

@@ -18,7 +18,7 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from hierax.runtime.transport.inbox import SAMPLE_BYTES, WAITING_BYTES
+from hierax.runtime.transport.inbox import WAITING_BYTES, bytes_of
 from hierax.schemas.messages import Message, decode_message, encode_message
 
 ROOM = 1024  # how many messages wait for a node; who sends one more waits
@@ -100,7 +100,7 @@ class SharedInbox:
     def arrive(self, sample: zenoh.Sample) -> None:
         """A message that came by the network, in a thread of Zenoh's. It waits while the queue is full; what is more
         than `WAITING_BYTES` is dropped."""
-        size = _bytes(sample)
+        size = bytes_of(sample)
         with self._counting:
             full = bool(self._bytes) and self._bytes + size > WAITING_BYTES
             if not full:
@@ -135,7 +135,7 @@ class SharedInbox:
                 return None
             if isinstance(item, zenoh.Sample):
                 with self._counting:
-                    self._bytes -= _bytes(item)
+                    self._bytes -= bytes_of(item)
             if item is not None or waits:
                 return item
 
@@ -158,10 +158,6 @@ class SharedInbox:
     def _add(self, item: Item) -> None:
         if not self._closed:
             self._queue.put(item)
-
-
-def _bytes(sample: zenoh.Sample) -> int:
-    return max(len(sample.payload), SAMPLE_BYTES)
 
 
 class Neighbours(dict[str, SharedInbox]):

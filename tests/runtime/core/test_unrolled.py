@@ -23,10 +23,10 @@ from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.owner import roster_changes
 from hierax.runtime.owner.roster_changes import ChangeError, next_roster
 from hierax.runtime.sim.nodes import MODULE
-from hierax.runtime.sim.rated import draw_rated_change, with_rates
-from hierax.runtime.sim.scenario import draw_scenario
+from hierax.runtime.sim.rated import rated, with_rates
+from hierax.runtime.sim.scenario import draw_change, draw_scenario
 from hierax.schemas.rates import EdgeRates, Rates, Timing, Turns
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Change, Replace, Roster
 
 EPOCHS = 16
 CHANGES = 4
@@ -47,11 +47,21 @@ def periods(seed: int) -> list[tuple[int, Roster]]:
     found = [(1, roster)]
     for epoch in sorted(rng.sample(range(2, EPOCHS), CHANGES)):
         try:
-            roster = next_roster(roster, draw_rated_change(rng, sorted(roster.nodes), epoch)).as_of(epoch)
+            change = _that_can_go_on(rated(rng, draw_change(rng, sorted(roster.nodes), epoch)))
+            roster = next_roster(roster, change).as_of(epoch)
         except ChangeError:
             continue
         found.append((epoch, roster))
     return found
+
+
+def _that_can_go_on(change: Change) -> Change:
+    """The same with a node that has all policies in another one's place: else it may be refused, as one that nobody
+    above gives tasks any more keeps the policy that it had."""
+    if not isinstance(change, Replace):
+        return change
+    reference = change.reference
+    return replace(change, reference=replace(reference, parameters={**reference.parameters, "policies": 3}))
 
 
 def begun(name: str, before: Roster, after: Roster, now: Hierarchy, states: dict[str, ActiveNode]) -> ActiveNode:
