@@ -98,7 +98,7 @@ def _rows(symbols: Symbols, cubes: Sequence[int]) -> list[str]:
     known |= set() if symbols.holding is None else {f"holding {symbols.holding}"}
     return [
         f"| {name} | {'yes' if name in known else 'no'} | {_chance(name, symbols)} |"
-        for name in sorted(known | symbols.certainty.keys())
+        for name in sorted(known | symbols.certainty.keys(), key=lambda name: (name.startswith("clear"), name))
     ]
 
 
