@@ -51,7 +51,7 @@ class Row:
         done: whether all towers stood at its end.
         placed_mm: how far the middle of a cube is beside that of the one below at most.
         moves: how many moves of the hand began.
-        acts: how many interferences were over.
+        acts: in how many interferences a cube was gripped or moved.
         frames: how long it took.
         wall_s: likewise, by the clock.
         digest: of the run.
@@ -127,6 +127,10 @@ def _sources() -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run the cells, print the tables."""
     options, given, scenes = _read(arguments)
+    try:
+        least_moves(settings(given, scenes.start))
+    except ValueError as error:  # before minutes of work, for a column of the table
+        raise SystemExit(str(error)) from error
     persons = [each for person in options.person.split(",") for each in (ACTS if person == EVERY else (person,))]
     kept, good = Kept(options.keep), True
     for builder in options.builder.split(","):
@@ -147,7 +151,7 @@ def _read(arguments: list[str] | None) -> tuple[argparse.Namespace, dict[str, st
     parser.add_argument("--jobs", type=int, default=1, help="so many scenes at a time; those launched too, one by one")
     parser.add_argument("--builder", default=REACTIVE, help="one, or several separated by commas")
     parser.add_argument("--person", default=NONE, help=f"likewise: {NONE}, {', '.join(ACTS)}, {EVERY}, {RANDOM}")
-    parser.add_argument("--without", choices=sorted(CONTEXTS), help="no context from there down")
+    parser.add_argument("--without", choices=sorted(CONTEXTS), help="no context from there; others: each as if alone")
     parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="as hierax run has it")
     parser.add_argument("--least", type=int, help="so many scenes of a cell have to be done; if not given, all")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="add rows to it, and take those that are there")

@@ -72,13 +72,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", default="0:5", help="from one to below another one")
     parser.add_argument("--person", default="knock", help="what somebody does")
-    parser.add_argument("--without", choices=sorted(CONTEXTS), help="no context from there down")
+    parser.add_argument("--without", choices=sorted(CONTEXTS), help="no context from there; others: each as if alone")
     options = parser.parse_args()
     errors, done = Errors(), 0
     scenes = range(*map(int, options.scenes.split(":")))
     for scene in scenes:
         done += episode(scene, settings({"person": options.person}, scene, options.without), errors)
-    without = "" if options.without is None else f", without context from {options.without}"
+    without = "" if options.without is None else f", --without {options.without}"
     print(f"somebody does {options.person}{without}: {done} of {len(scenes)} scenes done")
     print(f"  {'mm':29} {'median':>7} {'95 %':>7} {'worst':>8} {'lost':>8}")
     print(errors.told())

@@ -65,7 +65,8 @@ class Film(ViewPresenter):
         strip = np.full((STRIP_PX, 2 * SIZE[0], 3), 24, np.uint8)
         why, skill = (_lines(things[path]) for path in ("builder/why", "skills/skill"))
         held = next((line for line in why if line.startswith("plan")), "")
-        for row, text in enumerate((f"{self._epoch}: {why[0]}  {held}", "; ".join(skill[:2]))):
+        rule = " > ".join(why[0].split(" > ")[-2:])
+        for row, text in enumerate((f"{self._epoch}: {rule}  {held}", "; ".join(skill[:2]))):
             at = (8, 17 + row * LINE_PX)
             cv2.putText(strip, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (235, 235, 235), 1, cv2.LINE_AA)
         self.frames.append(np.asarray(np.vstack((np.hstack((beside, _camera(things))), strip)), np.uint8))

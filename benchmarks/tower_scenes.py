@@ -73,6 +73,9 @@ def towers_of(set_to: Mapping[str, str]) -> Towers:
 
 def least_moves(set_to: Mapping[str, str]) -> int:
     """How many moves the shortest plan has from how a scene is laid out, which all succeed while nobody interferes.
-    Raises ValueError: what plans is not there."""
+    Raises ValueError: what plans is not there, or the towers cannot be built."""
     blocks = {place.id: place.below or TABLE for place in planned(int(set_to["scene"]), int(set_to["cubes"]))}
-    return len(shortest_plan(towers_of(set_to), blocks) or ())
+    plan = shortest_plan(towers_of(set_to), blocks)
+    if plan is None:
+        raise ValueError(f"no plan builds {set_to['tower']} of {blocks}")
+    return len(plan)

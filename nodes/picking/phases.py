@@ -68,18 +68,18 @@ def aimed(belief: Value) -> Value:
     return {**belief, "gripper": target["pose"] @ belief["box_from_gripper"]}
 
 
-Late = Callable[[Value, float], Value]
-"""What becomes of a belief whose phase takes long: the same, or that in which it is given up."""
+After = Callable[[Value, float], Value]
+"""What becomes of a belief by the time: the same phase goes on, or another one begins."""
 
 
-def after_approach(belief: Value, time_s: float, late: Late = unless_late) -> Value:
+def after_approach(belief: Value, time_s: float, late: After = unless_late) -> Value:
     """The grasp follows the cube as long as that is tracked; then down, when the gripper is above it."""
     belief = aimed(belief)
     belief = steadied(belief, has_reached(belief, before(belief["gripper"])), time_s)
     return entered(belief, DESCEND, time_s) if is_steady(belief, time_s, AIM_S) else late(belief, time_s)
 
 
-def after_descend(belief: Value, time_s: float, late: Late = unless_late) -> Value:
+def after_descend(belief: Value, time_s: float, late: After = unless_late) -> Value:
     """Where the cube was seen last is where it is taken: so near it is at the border of the view."""
     return entered(belief, CLOSE, time_s) if has_reached(belief, belief["gripper"]) else late(belief, time_s)
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 
+WIDE_RAD = 1.0  # what turns less comes from no side of the wrist's end to the other
 _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from hierax.nodes.picking.commands import Command, CommandedNode
 from hierax.nodes.picking.layout import CUBES, TABLE_MIDDLE_M, guessed, planned
 from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of, gripper_at
-from hierax.nodes.picking.straight import along, length_m
+from hierax.nodes.picking.straight import WIDE_RAD, along, length_m
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.math.geometry import invert
+from hierax.nodes.tracking.math.geometry import invert, pose_error
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.schema import FirstBody, FirstPose, Model
 from hierax.nodes.tracking.spatial import SpatialNode
@@ -79,7 +79,7 @@ class PickSpatial(CommandedNode, SpatialNode):
             return predicted
         now, before = (belief[name]["gripper"] for name in ("hand", "hand_before"))
         moved = now @ invert(before)
-        if actions:
+        if actions and pose_error(now, actions[0]["gripper"])[1] < WIDE_RAD:  # else it may turn the long way round
             moved = along(now, actions[0]["gripper"], length_m(before, now)) @ invert(now)
         seen = {body["id"]: body["pose"] for body in belief["bodies"]}
         bodies = tuple(

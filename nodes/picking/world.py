@@ -9,7 +9,7 @@ from hierax.nodes.picking.commands import CommandedNode
 from hierax.nodes.picking.display import truth_things
 from hierax.nodes.picking.layout import CUBES, disturbed, planned
 from hierax.nodes.picking.panda import FOCAL_LENGTH, HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
-from hierax.nodes.picking.straight import along, length_m
+from hierax.nodes.picking.straight import WIDE_RAD, along, length_m
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Guest, Order, Touch, Workcell
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.math.geometry import Floats, log_so3
@@ -31,7 +31,6 @@ _ENOUGH_S = 2.5
 _ITERATIONS = 12
 _NEAR = 1e-5  # metres or radians: a setpoint that is reached so nearly needs no further step
 _ASTRAY = 0.02  # metres or radians: farther from where it should come the arm does not go
-_WIDE_RAD = 1.0  # what turns less comes from no side of the wrist's end to the other
 _TURN_RAD_S = 1.5  # so fast the joint turns that has the longest way, where the arm does not go straight
 _TRUTH = 3
 
@@ -182,7 +181,7 @@ def _detour(goal: Floats, belief: Value, blocked: bool, interval_s: float) -> Fl
     leads the wrist, which has less than a whole one, through its end. Then all joints turn to where they are to be, or
     stay where that is nowhere. None: the straight way is free."""
     turn = log_so3(goal[:3, :3] @ belief["setpoint"][:3, :3].T)
-    if not blocked and float(np.linalg.norm(turn)) < _WIDE_RAD:
+    if not blocked and float(np.linalg.norm(turn)) < WIDE_RAD:
         return None
     targets: Floats = belief["targets"]
     there, off = joints_for(goal, HOME_RAD)

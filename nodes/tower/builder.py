@@ -26,9 +26,9 @@ class Builder(Node):
     """Believes in symbols, and wishes for one move after the other.
 
     The belief: ``symbols``, a map of `Symbols`' fields; ``rule``, ``cube`` and ``onto`` of the wish (``cube`` is None
-    where nothing is to be done); ``plan``, the moves that are to follow, with this one as the first, each a cube and
-    what it is to be moved onto; and ``expects``, what each cube is on when this one begins, pairs. Both are empty where
-    there is no plan.
+    where nothing is to be done); ``plan``, the steps that are to follow, with this one as the first, as
+    `hierax.nodes.tower.rules.Step` has them; and ``expects``, what each cube is on when this one begins, pairs. Both
+    are empty where there is no plan.
 
     Args: tower: as `hierax.nodes.tower.goals.read_towers` has it; cubes: how many there are.
     Raises ValueError: the tower cannot be built of them."""
@@ -41,7 +41,7 @@ class Builder(Node):
 
     @abstractmethod
     def decided(self, symbols: Symbols, skill: Mapping[str, Any], belief: Value) -> tuple[Wish, Plan]:
-        """What is wished for where these symbols hold and the skill is in this phase, after what was believed before;
+        """What is wished for where these symbols hold and the skill is as told, after what was believed before;
         and the plan."""
 
     def initial_belief(self) -> Value:

@@ -32,6 +32,7 @@ def builder_things(belief: Value, towers: Towers, cubes: Sequence[int]) -> dict[
     curves = {
         f"certainty/{symbol}": showing.Curve(chance, showing.colour_of(int(symbol.split()[1])))
         for symbol, chance in symbols.certainty.items()
+        if not symbol.startswith("clear")  # no more than what is on others
     }
     return {"towers": _graph(symbols, cubes), "why": _why(belief, symbols, towers, cubes), **curves}
 

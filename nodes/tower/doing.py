@@ -43,7 +43,7 @@ def _watching(belief: Value, goal: Step | None) -> dict[str, Any]:
 
 
 def _skill(belief: Value, goal: Step) -> str:
-    if moves_aside(belief) or belief["frees"] is not None:
+    if moves_aside(belief):
         return MAKE_ROOM
     comes_back = belief["phase"] == RETREAT and belief["place"] is not None
     if belief["phase"] not in _PLACING and not comes_back:

@@ -19,7 +19,7 @@ from hierax.nodes.picking.phases import (
     RETREAT,
     STILL_S,
     WATCH,
-    Late,
+    After,
     after_approach,
     after_close,
     after_descend,
@@ -258,7 +258,7 @@ def _after_retreat(belief: Value, time_s: float) -> Value:
     return after if frees is None or not moves else {**after, "goal": (frees, TABLE), "frees": frees}
 
 
-AFTER: Mapping[str, Late] = {
+AFTER: Mapping[str, After] = {
     WATCH: _after_watch,
     OVER: _after_over,
     APPROACH: partial(after_approach, late=_unless_late),

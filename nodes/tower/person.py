@@ -21,7 +21,7 @@ _LATE_S = 2.0  # a stop that is not reached is given up so long after it should 
 _REACHED_M = 0.004
 _TURN_RAD_S = 2.0
 _MISSES_M = 0.02  # what is farther from the palm is not gripped
-_MOVED_M = 0.01
+_MOVED_M, _BESIDE_M = 0.01, 0.12
 _LEASH_M = 0.04  # a hand that is farther behind is drawn as if it were so far: one that comes free flings nothing away
 _PERSON = 5  # of the numbers that are drawn
 
@@ -89,7 +89,7 @@ def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:
     after = {**belief, "stops": left, "late_s": 0.0}
     if left:
         return after
-    happened = belief["happened"] + (stop.counts and belief["touched"])
+    happened = belief["happened"] + belief["touched"]
     return {**after, "holds": None, "done": belief["done"] + stop.counts, "happened": happened, "pause_s": None}
 
 
@@ -175,9 +175,11 @@ def _begun(belief: Value, scene: Scene, names: Sequence[str], interval_s: float)
 
 
 def _has_moved(belief: Value, scene: Scene) -> bool:
-    """Whether a cube is elsewhere than when the interference began, and not in the robot's hand."""
-    places = {str(number): body["pose"][:3, 3] for number, body in scene.bodies.items() if number not in scene.raised}
-    return any(float(np.linalg.norm(place - belief["from"][name])) > _MOVED_M for name, place in places.items())
+    """Whether a cube that is beside the hand, and not in the robot's, is elsewhere than when the interference began."""
+    palm = belief["hand"][:3, 3]
+    places = {number: body["pose"][:3, 3] for number, body in scene.bodies.items() if number not in scene.raised}
+    near = {number: place for number, place in places.items() if np.linalg.norm(place - palm) < _BESIDE_M}
+    return any(np.linalg.norm(place - belief["from"][str(number)]) > _MOVED_M for number, place in near.items())
 
 
 def _gripping(belief: Value, stop: Stop, scene: Scene) -> Value:

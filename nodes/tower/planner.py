@@ -93,7 +93,8 @@ class Planner(PlanningBuilder):
         if cube is None:
             return plan
         goes_to = TABLE if onto == LOOKED_FOR else onto
-        if now[cube] == goes_to:
+        is_found = onto == LOOKED_FOR and now[cube] == UNSETTLED and _is_over(plan, skill)
+        if now[cube] == goes_to or is_found:
             return Plan(plan.plan[1:], tuple({**expected, cube: goes_to}.items()))
         return plan if now[cube] in (HAND, UNSETTLED, expected[cube]) else None
 
@@ -102,8 +103,12 @@ class OpenLoop(PlanningBuilder):
     """Makes a plan once, and does not look any more: a move is over when the skills node says so. For comparison."""
 
     def followed(self, plan: Plan, now: Blocks, skill: Mapping[str, Any]) -> Plan:
-        is_over = skill["status"] != DOING and plan.plan[:1] == ((skill["cube"], skill["onto"]),)
-        return plan._replace(plan=plan.plan[1:]) if is_over else plan
+        return plan._replace(plan=plan.plan[1:]) if _is_over(plan, skill) else plan
+
+
+def _is_over(plan: Plan, skill: Mapping[str, Any]) -> bool:
+    """Whether the skills node says of the first step that it is over."""
+    return skill["status"] != DOING and plan.plan[:1] == ((skill["cube"], skill["onto"]),)
 
 
 def blocks_of(symbols: Symbols, cubes: Sequence[int]) -> Blocks:

@@ -94,8 +94,11 @@ def _make_tower(tower: tuple[int, ...], symbols: Symbols) -> Wish:
 
 
 def _make_clear(cube: int, symbols: Symbols) -> Wish:
-    """unpile: the highest of what stands on a cube comes onto the table."""
-    return _in(f"clear {cube}", _move(symbols.above(cube)[-1], TABLE, symbols))
+    """unpile: the highest of what stands on a cube comes onto the table. Where each of two is held to be on the other,
+    that is looked at until it is otherwise."""
+    highest = symbols.above(cube)[-1]
+    then = _move(highest, TABLE, symbols) if symbols.is_clear(highest) else Wish("look")
+    return _in(f"clear {cube}", then)
 
 
 def _move(cube: int, onto: int, symbols: Symbols) -> Wish:

@@ -1,9 +1,10 @@
 """The skills node: moves one cube onto another one, or to a free place of the table, or looks for one, as it is told.
 
-A task becomes the name of a policy, as the commands for the gripper do below. Phases: watch, over, approach, descend,
-close, lift, carry, lower, open, retreat, and watch again. Another task counts where it can: before the hand closes, and
-while a cube is carried; else when the present one is done. Where no hand gets at a cube, one that is in the way is
-moved out of it first. While it watches, the camera looks from one side after the other for what is lost."""
+A task becomes the name of a policy, as the commands for the gripper do below. Phases: watch, over, approach,
+descend, close, lift, carry, lower, open, retreat, and watch again. Another task counts where it can: before the hand
+goes down, and while a cube is carried; else when the present one is done. Where no hand gets at a cube, one that is
+in the way is moved out of it first. While it watches, the camera looks from one side after the other for what is
+lost."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -53,17 +54,16 @@ class SkillsNode(Node):
     """Moves cubes.
 
     The belief is that of phases (`hierax.nodes.picking.phases`), with ``carried`` (what carries which cube), ``goal``
-    (what is being done; None: nothing),
-    ``asked`` (what was asked for last), ``view`` (from which of `VIEWS` it watches), ``place`` (world_from_gripper
-    where the cube is put down; None before that is known), ``sighted_s`` (when it was last seen, while the cube is
-    carried, what that comes onto; None: never), ``refused`` (what was asked for and cannot be done with the cube in the
-    hand, or before the one that is moved in its place is out of the way), ``frees`` (the cube that comes to a free
-    place of the table before any other one is moved for what is asked for, as no hand got at it where it stands; None:
-    none), ``cleared`` (which cubes were moved aside for which one, pairs of ids, that one first), ``width`` (of the
-    gripper, when it was last looked at), ``put`` (the cube that the hand has put down last, until it begins to move the
-    next one, or that one is lost; None: none), ``tried`` (to which ways to take cubes the hand did not come, pairs of
-    an id and a box_from_gripper, the last few), ``stands`` (cubes of which the builder says so) and ``moves``, how many
-    have begun.
+    (what is being done; None: nothing), ``asked`` (what was asked for last), ``view`` (from which of `VIEWS` it
+    watches), ``place`` (world_from_gripper where the cube is put down; None before that is known), ``sighted_s`` (when
+    it was last seen, while the cube is carried, what that comes onto; None: never), ``refused`` (what was asked for and
+    cannot be done with the cube in the hand, or before the one that is moved in its place is out of the way), ``frees``
+    (the cube that comes to a free place of the table before any other one is moved for what is asked for, as no hand
+    got at it where it stands; None: none), ``cleared`` (which cubes were moved aside for which one, pairs of ids, that
+    one first), ``width`` (of the gripper, when it was last looked at), ``put`` (the cube that the hand has put down
+    last, until it begins to move the next one, or that one is lost; None: none), ``tried`` (to which ways to take cubes
+    the hand did not come, pairs of an id and a box_from_gripper, the last few), ``stands`` (cubes of which the builder
+    says so) and ``moves``, how many have begun.
 
     Args: once: the cubes are where they were when the first move began, or where the hand has put them since, whatever
         is seen. For comparison."""

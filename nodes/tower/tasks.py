@@ -29,7 +29,7 @@ def name_of(tasks: Elements) -> str:
     match tasks[0]:
         case {"skill": "look", "cube": int(cube)}:
             return f"{LOOK} for {cube}"
-        case {"skill": "place", "cube": int(cube), "onto": int(onto)}:
+        case {"skill": "place", "cube": int(cube), "onto": int(onto)} if onto >= TABLE:
             return f"{PLACE} {cube} on {onto or _TABLE}"
     expected = f'{{"skill": "{PLACE}", "cube": id, "onto": id or {TABLE}}}, or {{"skill": "{LOOK}", "cube": id}}'
     raise ValueError(f"a task of the skills node is {tasks[0]!r:.80}; expected {expected}")
@@ -41,7 +41,8 @@ def goal_of(name: str) -> Step:
         case ["look", "for", cube]:
             return int(cube), LOOKED_FOR
         case ["place", cube, "on", onto]:
-            return int(cube), TABLE if onto == _TABLE else int(onto)
+            if onto == _TABLE or int(onto) > TABLE:
+                return int(cube), TABLE if onto == _TABLE else int(onto)
     raise ValueError(f"no policy has the name {name!r}")
 
 

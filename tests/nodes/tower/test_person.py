@@ -264,9 +264,8 @@ def test_a_hand_that_finds_nothing_to_grip_has_not_interfered() -> None:
         belief = world.predict((), REST, belief, Tick(seed=1))
     gone = belief["bodies"][3]["pose"].copy()
     gone[:2, 3] = (0.45, 0.35)
-    places = {**belief["person"]["from"], "4": gone[:3, 3]}
     bodies = tuple({**body, "pose": gone} if body["id"] == 4 else body for body in belief["bodies"])
-    last = until_done(world, {**belief, "bodies": bodies, "person": {**belief["person"], "from": places}})[-1]
+    last = until_done(world, {**belief, "bodies": bodies})[-1]
     assert (last["person"]["done"], world.metrics(last)["interferences"]) == (1, 0.0)
 
 

@@ -163,6 +163,13 @@ def test_what_is_not_settled_is_planned_with_once() -> None:
     assert played.sees({**leans, 2: UNSETTLED, 3: TABLE})[1:] == (2, 1), "what was put there is there no more"
 
 
+def test_what_is_found_is_taken_though_it_leans() -> None:
+    played = Played(Planner([1, 2, 3], 3))
+    assert played.sees({**FLAT, 2: 1, 3: UNKNOWN}) == ("planned", 3, LOOKED_FOR)
+    assert played.sees({**FLAT, 2: 1, 3: UNSETTLED}, (3, LOOKED_FOR), DOING) == ("as planned", 3, LOOKED_FOR)
+    assert played.sees({**FLAT, 2: 1, 3: UNSETTLED}, (3, LOOKED_FOR), DONE) == ("as planned", 3, 2)
+
+
 def test_of_what_cannot_be_nothing_is_planned() -> None:
     assert planned(((1, 2),), {1: 2, 2: 1}) is None
     played = Played(Planner([1, 2], 2))

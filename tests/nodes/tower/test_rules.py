@@ -105,6 +105,8 @@ TOWER, ON_1, ON_TABLE = "make tower 1 2 > ", "move 2 onto 1 > ", "move 1 onto th
         (symbols_of({1: 3, 2: 0, 3: 0}), Wish(f"{TOWER}make tower 1 > {ON_TABLE}take", 1)),
         (symbols_of({1: 0, 2: 1, 3: 0}, holding=3), Wish("put away", 3)),
         (symbols_of({1: 0, 2: 1, 4: 2, 3: 4}), Wish(f"{TOWER}clear 2 > move 3 onto the table > take", 3)),
+        (Symbols(((1, 2), (2, 1)), (), (), None, {}), Wish(f"{TOWER}make tower 1 > {ON_TABLE}clear 1 > look")),
+        (Symbols(((3, 1), (4, 3), (3, 4)), (1, 2), (), None, {}), Wish(f"{TOWER}{ON_1}clear 1 > look")),
         (NOTHING, Wish(f"{TOWER}make tower 1 > {ON_TABLE}take", 1)),
     ],
 )

@@ -253,7 +253,18 @@ def test_without_a_task_the_arm_watches() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["", "place", "place 1 on", "place 1 onto 2", "place x on 2", "place 1 on 2 3", "look for", "look at 1"]
+    "name",
+    [
+        "",
+        "place",
+        "place 1 on",
+        "place 1 onto 2",
+        "place x on 2",
+        "place 1 on 2 3",
+        "place 1 on -2",
+        "look for",
+        "look at 1",
+    ],
 )
 def test_what_is_no_task_s_policy_is_none(name: str) -> None:
     with pytest.raises(KeyError):
@@ -266,7 +277,14 @@ def test_a_task_s_name_says_what_it_is_to_bring_about(goal: tuple[int, int]) -> 
 
 
 @pytest.mark.parametrize(
-    "task", [{}, {"skill": "jump", "cube": 1}, {"skill": PLACE, "cube": 1}, {"skill": LOOK, "cube": "1"}]
+    "task",
+    [
+        {},
+        {"skill": "jump", "cube": 1},
+        {"skill": PLACE, "cube": 1},
+        {"skill": LOOK, "cube": "1"},
+        {"skill": PLACE, "cube": 1, "onto": -2},
+    ],
 )
 def test_what_is_no_task_is_refused(task: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"a task of the skills node is .*; expected"):
