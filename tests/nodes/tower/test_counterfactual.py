@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 from support.launched import hierax
 
+from hierax.nodes.tower.tasks import task_of
+from hierax.nodes.tracking.schema import TABLE
+
 pytest.importorskip("clingo", reason="the extra [plan] is not installed")
 
 RUN = ("run", "tower", "--set", "cubes=2", "--set", "tower=[2, 1]", "--epochs", "40")
@@ -25,7 +28,7 @@ def test_what_the_other_builder_would_have_done(builder: str, other: str, tmp_pa
     first, *later = found["stretches"]
     assert first["from"] == 1
     # Before it is settled what is where, rules begin with the lowest cube; a plan takes all to stand on the table.
-    wishes = {"reactive": {"cube": 2, "onto": 0}, "planner": {"cube": 1, "onto": 2}}
+    wishes = {"reactive": task_of(2, TABLE), "planner": task_of(1, 2)}
     assert first["recorded"]["actions"] == [wishes[builder]]
     assert first["replayed"]["actions"] == [wishes[other]]
     assert not later, "then both move the upper cube onto the lower one"
