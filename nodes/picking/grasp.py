@@ -29,7 +29,7 @@ from hierax.nodes.picking.phases import (
     unless_late,
 )
 from hierax.nodes.picking.planning import OPENING_M, before, choose
-from hierax.nodes.picking.tracker import scene_of
+from hierax.nodes.picking.tracker import read_scene
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
 from hierax.runtime.core.node import Policy
@@ -69,7 +69,7 @@ class GraspNode(Node):
         """τ: the scene as `hierax.nodes.picking.tracker.scene_known` tells it, and the phase that follows."""
         if not observations:
             return belief
-        bodies, hand, _ = scene_of(observations)
+        bodies, hand, _ = read_scene(observations)
         seen = {**belief, "bodies": bodies, "hand": hand}
         return getattr(self, f"_after_{seen['phase']}")(seen, tick.time_s)
 
@@ -109,7 +109,9 @@ class GraspNode(Node):
         grasp = {"target": target, "box_from_gripper": box_from_gripper, "box_width": box_width}
         return entered(aimed({**belief, **grasp, "attempts": belief["attempts"] + 1}), APPROACH, time_s)
 
-    _after_approach, _after_descend, _after_close = map(staticmethod, (after_approach, after_descend, after_close))
+    _after_approach = staticmethod(after_approach)
+    _after_descend = staticmethod(after_descend)
+    _after_close = staticmethod(after_close)
 
     def _after_lift(self, belief: Value, time_s: float) -> Value:
         """Up, unless the cube is lost on the way."""

@@ -10,18 +10,23 @@ _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 
 def length_m(start: Floats, goal: Floats) -> float:
     """How long the way is; one that is mostly a turn as long as a move that takes the same time."""
-    shift, turn = _way(start, goal)
-    return max(float(np.linalg.norm(shift)), _TURN_M_RAD * float(np.linalg.norm(turn)))
+    return _length_m(*_way(start, goal))
 
 
 def along(start: Floats, goal: Floats, step_m: float) -> Floats:
     """The pose so far along the way; the goal, where that is no farther."""
-    left = length_m(start, goal)
+    shift, turn = _way(start, goal)
+    left = _length_m(shift, turn)
     if left <= step_m or left < 1e-6:
         return goal
-    (shift, turn), part = _way(start, goal), step_m / left
+    part = step_m / left
     return make_pose(exp_so3(part * turn) @ start[:3, :3], start[:3, 3] + part * shift)
 
 
 def _way(start: Floats, goal: Floats) -> tuple[Floats, Floats]:
+    """By how much it moves, m, and turns, rad."""
     return goal[:3, 3] - start[:3, 3], log_so3(goal[:3, :3] @ start[:3, :3].T)
+
+
+def _length_m(shift: Floats, turn: Floats) -> float:
+    return max(float(np.linalg.norm(shift)), _TURN_M_RAD * float(np.linalg.norm(turn)))

@@ -144,7 +144,7 @@ def scene_known(belief: Value) -> Elements:
     return (*boxes, {"hand": belief["hand"], "carried": belief["carried"]})
 
 
-class Scene(NamedTuple):
+class KnownScene(NamedTuple):
     """What `scene_known` tells."""
 
     bodies: tuple[Value, ...]
@@ -152,7 +152,7 @@ class Scene(NamedTuple):
     carried: tuple[tuple[int, int], ...]
 
 
-def scene_of(observations: Elements) -> Scene:
+def read_scene(observations: Elements) -> KnownScene:
     """What a node is told of the scene from below."""
     rest = next(item for item in observations if "hand" in item)
-    return Scene(tuple(item for item in observations if "pose" in item), rest["hand"], rest["carried"])
+    return KnownScene(tuple(item for item in observations if "pose" in item), rest["hand"], rest["carried"])

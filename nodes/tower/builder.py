@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hierax.nodes.picking.layout import CUBES
-from hierax.nodes.picking.tracker import scene_of
+from hierax.nodes.picking.tracker import read_scene
 from hierax.nodes.tower.display import builder_things
 from hierax.nodes.tower.goals import read_towers
 from hierax.nodes.tower.rules import NO_PLAN, Plan, Wish, height_of, is_done, order_of, wish_of
@@ -64,7 +64,7 @@ class Builder(Node):
         wished for by them."""
         if not observations:
             return belief
-        bodies, hand, carried = scene_of(observations)
+        bodies, hand, carried = read_scene(observations)
         skill = next(item["skill"] for item in observations if "skill" in item)
         told = Told(bodies, carried, skill["holding"], hand["gripper"], hand["width"], skill["looks"])
         symbols = symbols_after(Symbols(**belief["symbols"]), told)

@@ -36,7 +36,7 @@ def doing(belief: Value) -> dict[str, Any]:
 
 def _watching(belief: Value, goal: Step | None) -> dict[str, Any]:
     lost = {body["id"] for body in belief["bodies"] if body["status"] == LOST}
-    status = DONE if goal is not None and is_look(goal) and goal[0] not in lost else DOING
+    status = DONE if is_look(goal) and goal[0] not in lost else DOING
     skill = REST if goal is None and not lost else LOOK
     cube, onto = (None, None) if goal is None else goal
     return {"skill": skill, "cube": cube, "onto": onto, "status": status}

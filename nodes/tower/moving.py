@@ -35,7 +35,7 @@ from hierax.nodes.picking.phases import (
 from hierax.nodes.picking.planning import OPENING_M, before
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
 from hierax.nodes.tower.reaching import Reach, reach
-from hierax.nodes.tower.tasks import is_look
+from hierax.nodes.tower.tasks import is_move
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.schema import LOST, TABLE
 from hierax.runtime import Value
@@ -120,7 +120,7 @@ def _after_watch(belief: Value, time_s: float) -> Value:
     if belief["put"] is not None and _is_lost(belief, belief["put"]):
         belief = {**belief, "put": None}  # it is looked for everywhere
     goal, is_settled = belief["goal"], is_steady(belief, time_s, LOOK_S)
-    if goal is not None and not is_look(goal) and is_settled and not _is_lost(belief, goal[1]):
+    if is_move(goal) and is_settled and not _is_lost(belief, goal[1]):
         found = _reached(belief)
         if found is not None:
             return entered(aimed(_begun(belief, found)), OVER, time_s)
@@ -254,8 +254,7 @@ def _after_retreat(belief: Value, time_s: float) -> Value:
     elif belief["put"] == belief["target"]:
         frees = None  # it is
     after = watching(belief, time_s)
-    moves = asked is not None and not is_look(asked)
-    return after if frees is None or not moves else {**after, "goal": (frees, TABLE), "frees": frees}
+    return after if frees is None or not is_move(asked) else {**after, "goal": (frees, TABLE), "frees": frees}
 
 
 AFTER: Mapping[str, After] = {

@@ -42,14 +42,8 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
         belief = _begun(belief, scene, names, interval_s)
         if not belief["stops"]:
             return belief, None
+    belief = _going_on(belief, scene)
     stop = Stop(**belief["stops"][0])
-    if stop.unless_near and not scene.is_free(stop.unless_near):
-        belief = {**belief, "stops": ({**belief["stops"][-1], "counts": False},), "late_s": 0.0}
-        stop = Stop(**belief["stops"][0])
-    if stop.brings:
-        back = tuple(each._asdict() for each in brought(scene, stop.brings))
-        belief = {**belief, "stops": (*back, *belief["stops"][1:])}
-        stop = Stop(**belief["stops"][0])
     belief = _gripping(belief, stop, scene)
     belief = {**belief, "touched": belief["touched"] or belief["holds"] is not None or _has_moved(belief, scene)}
     target, there = _advanced(belief["target"], stop, scene, interval_s)
@@ -62,6 +56,16 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
     guest = Guest(belief["hand"], belief["velocity"], start, end, grip)
     belief = {**belief, "target": target, "late_s": belief["late_s"] + interval_s if there else 0.0}
     return belief, guest
+
+
+def _going_on(belief: Value, scene: Scene) -> Value:
+    """The belief with other stops, where the hand draws back, or brings a cube to where there is room now."""
+    stop, *left = belief["stops"]
+    if stop["unless_near"] and not scene.is_free(stop["unless_near"]):
+        return {**belief, "stops": ({**belief["stops"][-1], "counts": False},), "late_s": 0.0}
+    if stop["brings"]:
+        return {**belief, "stops": (*(each._asdict() for each in brought(scene, stop["brings"])), *left)}
+    return belief
 
 
 def _lets_pass(belief: Value, stop: Stop, scene: Scene, target: Floats) -> bool:

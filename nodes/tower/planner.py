@@ -70,10 +70,11 @@ class PlanningBuilder(Builder):
         plan = None if before == NO_PLAN else self.followed(before, now, skill)
         if plan is not None:
             return _wish_of(plan, "as planned"), plan
-        steps = planned(self.towers, _settled(now))
+        settled = _settled(now)
+        steps = planned(self.towers, settled)
         if steps is None:
             return Wish("look"), NO_PLAN  # what is believed contradicts itself
-        plan = Plan(steps, tuple(_settled(now).items()))
+        plan = Plan(steps, tuple(settled.items()))
         return _wish_of(plan, "planned" if before == NO_PLAN else "planned again"), plan
 
     @abstractmethod

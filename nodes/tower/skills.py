@@ -13,7 +13,7 @@ from hierax.nodes.picking.commands import REST, Named, command
 from hierax.nodes.picking.panda import WIDEST_M
 from hierax.nodes.picking.phases import APPROACH, CLOSE, DESCEND, LIFT, RETREAT, WATCH
 from hierax.nodes.picking.planning import OPENING_M, before
-from hierax.nodes.picking.tracker import scene_of
+from hierax.nodes.picking.tracker import read_scene
 from hierax.nodes.tower.display import skill_things
 from hierax.nodes.tower.doing import doing, held
 from hierax.nodes.tower.moving import (
@@ -30,7 +30,7 @@ from hierax.nodes.tower.moving import (
     over,
     up,
 )
-from hierax.nodes.tower.tasks import goal_of, is_look, name_of
+from hierax.nodes.tower.tasks import goal_of, is_move, name_of
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.schema import TRACKED
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
@@ -93,7 +93,7 @@ class SkillsNode(Node):
         """τ: the scene, and the phase that follows."""
         if not observations:
             return belief
-        bodies, hand, carried = scene_of(observations)
+        bodies, hand, carried = read_scene(observations)
         if self._once and belief["moves"]:
             bodies = _as_left(belief, hand)
         seen = _with_goal({**belief, "bodies": bodies, "hand": hand, "carried": carried}, tick.time_s)
@@ -154,7 +154,7 @@ def _as_left(belief: Value, hand: Mapping[str, Any]) -> tuple[Mapping[str, Any],
 def _with_goal(belief: Value, time_s: float) -> Value:
     """The belief with what is asked for, where that may change now."""
     asked, frees = belief["asked"], belief["frees"]
-    moves = asked is not None and not is_look(asked)
+    moves = is_move(asked)
     waits = moves and (asked == belief["refused"] or frees not in (None, asked[0]))
     if asked == belief["goal"] or waits:
         return belief

@@ -3,7 +3,7 @@
 A task is {"skill": `PLACE`, "cube": id, "onto": id, or `TABLE`}, which takes the cube first if the hand does not hold
 it, or {"skill": `LOOK`, "cube": id}. On the way down it becomes the name of a policy."""
 
-from typing import Any
+from typing import Any, TypeGuard
 
 from hierax.nodes.picking.commands import REST
 from hierax.nodes.tower.rules import LOOKED_FOR, Step
@@ -11,8 +11,6 @@ from hierax.nodes.tracking.schema import TABLE
 from hierax.runtime import Elements
 
 PLACE, LOOK = "place", "look"
-
-_TABLE = "table"  # in names
 
 
 def task_of(cube: int, onto: int) -> dict[str, Any]:
@@ -30,7 +28,7 @@ def name_of(tasks: Elements) -> str:
         case {"skill": "look", "cube": int(cube)}:
             return f"{LOOK} for {cube}"
         case {"skill": "place", "cube": int(cube), "onto": int(onto)} if onto >= TABLE:
-            return f"{PLACE} {cube} on {onto or _TABLE}"
+            return f"{PLACE} {cube} on {onto or 'table'}"
     expected = f'{{"skill": "{PLACE}", "cube": id, "onto": id or {TABLE}}}, or {{"skill": "{LOOK}", "cube": id}}'
     raise ValueError(f"a task of the skills node is {tasks[0]!r:.80}; expected {expected}")
 
@@ -40,12 +38,18 @@ def goal_of(name: str) -> Step:
     match name.split(" "):
         case ["look", "for", cube]:
             return int(cube), LOOKED_FOR
-        case ["place", cube, "on", onto]:
-            if onto == _TABLE or int(onto) > TABLE:
-                return int(cube), TABLE if onto == _TABLE else int(onto)
+        case ["place", cube, "on", "table"]:
+            return int(cube), TABLE
+        case ["place", cube, "on", onto] if int(onto) > TABLE:
+            return int(cube), int(onto)
     raise ValueError(f"no policy has the name {name!r}")
 
 
-def is_look(goal: Step | None) -> bool:
+def is_look(goal: Step | None) -> TypeGuard[Step]:
     """Whether what is to be brought about is that a cube is seen."""
     return goal is not None and goal[1] == LOOKED_FOR
+
+
+def is_move(goal: Step | None) -> TypeGuard[Step]:
+    """Whether it is that a cube comes somewhere."""
+    return goal is not None and goal[1] != LOOKED_FOR

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from importlib import import_module
-from math import ceil
+from math import ceil, inf
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -71,7 +71,7 @@ class Simulator:
     def __init__(self) -> None:
         self._bullet = Bullet()
         self._handles: list[int] | None = None  # of bodies on the table; None: not even that is there
-        self._moved: list[int] = []  # the handles of the bodies of the last call
+        self._moved: dict[int, float] = {}  # of the bodies of the last call, by handle, what they weigh, kg
 
     def run(
         self,
@@ -83,14 +83,15 @@ class Simulator:
         """Let bodies fall, slide, push and settle for so many seconds, in equal steps of at most `STEP_S`, at most
         `MAX_STEPS` of them: the motions afterwards. `drives` is by index of a body the horizontal velocity (2,), m/s,
         to which a thread draws it; it pulls against the friction of that body alone."""
-        self._moved = []
+        self._moved = {}
         if not solids or duration_s <= 0.0:
             return list(motions)
         steps = min(MAX_STEPS, max(1, ceil(duration_s / STEP_S - 1e-6)))
         step_s = duration_s / steps
         self._clear(step_s)
         handles = [self._create(solid, motion) for solid, motion in zip(solids, motions, strict=True)]
-        self._handles = self._moved = handles
+        self._handles = handles
+        self._moved = {handle: solid.mass for handle, solid in zip(handles, solids, strict=True)}
         for _ in range(steps):
             for index, drive in (drives or {}).items():
                 self._draw_along(handles[index], solids[index], drive, step_s)
@@ -108,9 +109,11 @@ class Simulator:
             lift = force * normal[2]  # the normal points from the other one to the first
             pair = (one, other) if lift > 0.0 else (other, one)
             upwards[pair] = upwards.get(pair, 0.0) + abs(lift)
-        masses = {handle: self._bullet.getDynamicsInfo(handle, -1)[0] for handle in at}
+        least = {handle: CARRIES * mass * GRAVITY_M_S2 for handle, mass in self._moved.items()}
+        # nothing carries the table, which has no least
+        carried = [pair for pair, lift in upwards.items() if lift >= least.get(pair[0], inf)]
         return sorted(
-            ((at[upper], at.get(lower)) for (upper, lower), lift in upwards.items() if _carries(lift, masses, upper)),
+            ((at[upper], at.get(lower)) for upper, lower in carried),
             key=lambda pair: (pair[0], -1 if pair[1] is None else pair[1]),
         )
 
@@ -150,10 +153,6 @@ class Simulator:
         offset = pose[:3, :3] @ solid.centre
         pose[:3, 3] -= offset
         return Motion(pose, np.concatenate([linear - _turned(angular, offset), angular]))
-
-
-def _carries(lift: float, masses: Mapping[int, float], upper: int) -> bool:
-    return upper in masses and lift >= CARRIES * masses[upper] * GRAVITY_M_S2
 
 
 def _turned(angular: Floats, offset: Floats) -> Floats:

@@ -11,7 +11,7 @@ import pytest
 from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.layout import SIDES_M, guessed
 from hierax.nodes.picking.panda import HOME_RAD, camera_of, gripper_at, gripper_down
-from hierax.nodes.picking.tracker import arm, poses_and_hand_seen, scene_known, scene_of, spatial
+from hierax.nodes.picking.tracker import arm, poses_and_hand_seen, read_scene, scene_known, spatial
 from hierax.nodes.picking.world import PickWorld, picture_and_hand_seen
 from hierax.nodes.tracking.math.geometry import exp_se3, invert
 from hierax.nodes.tracking.schema import TABLE
@@ -130,7 +130,7 @@ def test_who_carries_whom_goes_up() -> None:
     places[2][:3, 3] = places[1][:3, 3] + [0.0, 0.0, (SIDES_M[0] + SIDES_M[1]) / 2]
     places[3][2, 3] += 0.2
     bodies = tuple({**body, "pose": places[body["id"]]} for body in belief["bodies"])
-    told = scene_of(scene_known(node.predict((), (), {**belief, "bodies": bodies})))
+    told = read_scene(scene_known(node.predict((), (), {**belief, "bodies": bodies})))
     assert told.carried == ((1, TABLE), (2, 1))
     assert [body["id"] for body in told.bodies] == [1, 2, 3]
 
