@@ -18,6 +18,8 @@ from hierax.nodes.tracking.schema import FirstBody, FirstPose, Model
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 
+JOINTS_M, JOINTS_RAD = 0.0002, 0.0003  # standard deviations of where they say that the camera is, in each axis
+
 
 class PickArm(CommandedNode, ArmNode):
     """An arm node that also knows its hand.
@@ -91,8 +93,9 @@ class PickSpatial(CommandedNode, SpatialNode):
 
 def arm(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickArm:
     """The arm node with a first guess at the cubes' poses, and nothing of their shapes; options are further ones of
-    `ArmNode`."""
-    return PickArm(first_poses(scene, cubes), **options)
+    `ArmNode`. Where its camera is the joints say, but for little."""
+    known = {"camera_m": JOINTS_M, "camera_rad": JOINTS_RAD}
+    return PickArm(first_poses(scene, cubes), **known | options)
 
 
 def spatial(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickSpatial:

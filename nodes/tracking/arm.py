@@ -14,6 +14,7 @@ from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.certainty import right
+from hierax.nodes.tracking.estimation.drift import joint_of
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -23,8 +24,8 @@ from hierax.nodes.tracking.estimation.tracked import (
     imagined,
     tracked_metrics,
 )
-from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert, log_se3
-from hierax.nodes.tracking.search.association import Estimate, Options, associate
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert
+from hierax.nodes.tracking.search.association import Associated, Estimate, Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
 from hierax.nodes.tracking.search.multistart import held, in_turn
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
@@ -93,7 +94,7 @@ class ArmNode(Node):
         tolerance = None if model_tolerance_mm is None else model_tolerance_mm / 1000.0
         motion = diagonal_covariance(motion_m, motion_rad)
         self._options = Options(motion, sure_score, tolerance=tolerance)
-        self._camera = np.diag(1.0 / np.diag(diagonal_covariance(camera_m, camera_rad)))
+        self._reports = diagonal_covariance(camera_m, camera_rad)
         self._kept_score = kept_score
         self._found_score = found_score
         self._patience = patience
@@ -107,6 +108,7 @@ class ArmNode(Node):
             "camera": self._first_camera,
             "reported": None,
             "drift": np.eye(4),
+            "together": None,
             "intrinsics": None,
             "size": None,
             "frame": None,
@@ -123,8 +125,10 @@ class ArmNode(Node):
             return {**belief, "frame": None, "objects": unseen}
         seen = observations[0]
         reported = np.asarray(seen["camera"], dtype=np.float64)
-        camera = reported @ belief["drift"]
-        moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
+        before, said = belief["camera"], belief["reported"]
+        still = said is None or np.array_equal(said, reported)
+        camera = reported @ belief["drift"] if before is None or said is None or not still else before
+        moved = np.eye(4) if before is None else invert(camera) @ before
         objects: _Objects = tuple(
             {
                 **item,
@@ -134,24 +138,25 @@ class ArmNode(Node):
             }
             for item in belief["objects"]
         )
-        still = belief["reported"] is None or np.array_equal(belief["reported"], reported)
         sweeps = _moved(belief["sweeps"], moved)
         present = tuple(item for item in objects if sweeps is None or not _is_missing(item))
         shown = sweeps is not None or any(len(item["controls"]["points"]) for item in present)
         image = smoothed(seen["image"]) if shown else _NO_IMAGE
-        shift, corrected = self._corrected(present, image, seen["intrinsics"], still)
+        reports = None if still else self._reports
+        found = self._associated(present, image, seen["intrinsics"], belief["together"], reports)
+        corrected, shift = self._corrected(present, found), np.eye(4) if found is None else found.shift
         after = {item["id"]: item for item in corrected}
         guessed = {item["id"]: tuple(other for other in item["others"] if other["kept"]) for item in objects}
         objects = tuple(after.get(item["id"], item) for item in objects)
         if sweeps is not None:
             objects = self._searched(image, objects, guessed, sweeps, seen["intrinsics"], camera[2])
         camera = camera @ invert(shift)
-        drift = belief["drift"] @ exp_se3(const.DRIFT_GAIN * log_se3(invert(reported @ belief["drift"]) @ camera))
         height, width = seen["image"].shape[:2]
         return {
             "camera": camera,
             "reported": reported,
-            "drift": drift,
+            "drift": belief["drift"] if found is None else belief["drift"] @ exp_se3(-found.drift),
+            "together": None if reports is None else belief["together"] if found is None else found.together,
             "intrinsics": np.asarray(seen["intrinsics"], dtype=np.float64),
             "size": (width, height),
             "frame": seen["frame"],
@@ -191,23 +196,34 @@ class ArmNode(Node):
         """The image with edges, the camera, the scores, and what speaks for the poses."""
         return arm_things(step, before, self._options.motion)
 
-    def _corrected(self, objects: _Objects, image: Image, intrinsics: Array, still: bool) -> tuple[Floats, _Objects]:
-        """What the camera's error does to all poses, and the objects after the image."""
+    def _associated(
+        self,
+        objects: _Objects,
+        image: Image,
+        intrinsics: Array,
+        together: schema.Together | None,
+        reports: Floats | None,
+    ) -> Associated | None:
+        """What the image says; None where nothing of any object is expected in it."""
         if not any(len(item["controls"]["points"]) for item in objects):
-            return np.eye(4), tuple(map(self._out_of_view, objects))
-        camera = None if still else self._camera
+            return None
         known = objects
         if not self._prior:
-            known = tuple({**item, "covariance": const.UNKNOWN} for item in objects)
+            known, together = tuple({**item, "covariance": const.UNKNOWN} for item in objects), None
         motion = np.stack([self._motion(item) for item in objects])
         falling = np.stack([held(self._options.motion, item["support"], const.FALLING, 1.0) for item in known])
         options = self._options._replace(motion=motion, falling=falling)
-        found = associate(image, known, camera, np.asarray(intrinsics), options)
+        joint = None if reports is None else joint_of(known, together, reports)
+        return associate(image, known, joint, np.asarray(intrinsics), options)
+
+    def _corrected(self, objects: _Objects, found: Associated | None) -> _Objects:
+        """The objects after the image."""
+        if not any(len(item["controls"]["points"]) for item in objects):
+            return tuple(map(self._out_of_view, objects))
         if found is None:
-            return np.eye(4), tuple(_sought(self._missed(item, item["pose"], None)) for item in objects)
-        shift, estimates = found
-        seen = zip(objects, estimates, strict=True)
-        return shift, tuple(_sought(self._judged(item, shift @ item["pose"], each)) for item, each in seen)
+            return tuple(map(self._blind, objects))
+        seen = zip(objects, found.estimates, strict=True)
+        return tuple(_sought(self._judged(item, found.shift @ item["pose"], each)) for item, each in seen)
 
     def _searched(
         self,

@@ -80,10 +80,12 @@ STILL_M, STILL_RAD = 0.0005, 0.002
 CHANGE_PER_M, CHANGE_PER_RAD, MOST_CHANGE = 50.0, 4.0, 0.5
 JUMP_PX = 2.0  # a camera's error that moves an object's origin by more is large
 SURPRISED = 1.5  # standard deviations by which the image surprises; twice: the same poses
-CALMING, TREND_GAIN = 0.85, 0.3  # share of its motion that something keeps from image to image; gain of a running mean
+CALMING = 0.85  # share of its motion that something keeps from image to image, and of how far images had it off
 SETTLED_M = 0.004  # where no object moves, and all are known better than this, the image is searched near by
 RESTING_MARGIN = 0.1  # by so large a share of its control points another explanation than rest is clearly better
-DRIFT_GAIN = 0.3  # share of a camera's error that goes on
+# How much a camera's drift changes from image to image, in shares of how far reports err; and, as a share, how large
+# what has an exact model is beside it: blur, light and worn edges make it seem smaller.
+DRIFTS, SIZES = 0.6, 0.007
 # Of what its motion may change in a frame, what stands rises by so much, and tilts; what falls over rises.
 UPWARDS, TILTING, FALLING = 0.1, 0.15, 0.3
 RESTING_M, RESTING_RAD = 0.0005, 0.004  # how certain the height and the tilt of a body at rest are

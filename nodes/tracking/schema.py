@@ -178,6 +178,7 @@ class Looks(TypedDict):
     hits: Annotated[NDArray[np.float32], Is(("p", 2), "float32", "frames found and looked for, older ones fading")]
     tolerance: float | None  # standard deviation of where edges are beside its model's, m; None: nobody knows yet
     judged: int  # for how many images more that is not asked again
+    size: float  # how large it is beside its model, 1 where nobody knows
     bent: Annotated[NDArray[np.int64], Is(("b",), "int64", "numbers of edges, ascending")]
     bends: Annotated[Floats, Is(("b", 3), "float64", "m, object's frame")]  # where they are beside the model's
     slack: Annotated[Floats, Is(("b", 3, 3), "float64", "m², object's frame")]  # covariance of that
@@ -228,12 +229,22 @@ class _Viewing(TypedDict):
     frame: int | None  # the newest image's number
 
 
+class Together(TypedDict):
+    """How errors that last go together."""
+
+    ids: Annotated[NDArray[np.int64], Is(("m",), "int64", "objects")]
+    # of the camera's drift, a twist in its frame, and of the pose of each of these objects in the world, a twist in its
+    # frame, and its size, a share of that
+    covariance: Annotated[Floats, Is(("n", "n"), "float64", "m², m rad, rad², …, n = 6 + 7 m")]
+
+
 class ArmBelief(_Viewing):
     """What the arm node believes; of camera and image nothing before the first one."""
 
     reported: CameraPose | None  # the same as the world gave it
     # ``reported @ drift`` is where the camera is expected
     drift: Annotated[Floats, Is((4, 4), "float64", "reported_from_camera, m")]
+    together: Together | None  # None while the camera stands still
     objects: tuple[TrackedObject, ...]
     # where some that are missing are looked for in the next image; None where none ever is
     sweeps: tuple[Sweep, ...] | None

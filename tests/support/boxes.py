@@ -37,19 +37,32 @@ def cast(boxes: Sequence[Box], intrinsics: np.ndarray[Any, Any] = INTRINSICS, si
     labels = np.zeros((height, width), dtype=np.uint8)
     faces = np.zeros((height, width), dtype=np.uint8)
     for box in boxes:
+        part = _around(box, intrinsics, size)
         rotation, origin = box.pose[:3, :3], -box.pose[:3, :3].T @ box.pose[:3, 3]
-        inside = rays @ rotation
+        inside = rays[part] @ rotation
         half = np.asarray(box.size) / 2.0
         one, two = (-half - origin) / inside, (half - origin) / inside
         enter = np.minimum(one, two)
         first, last = enter.max(axis=-1), np.maximum(one, two).min(axis=-1)
-        seen = (first < last) & (first > 0) & (first < depth)
+        seen = (first < last) & (first > 0) & (first < depth[part])
         axis = enter.argmax(axis=-1)
         sign = np.take_along_axis(inside, axis[..., None], axis=-1)[..., 0] > 0
-        depth[seen] = first[seen]
-        labels[seen] = box.label
-        faces[seen] = (2 * axis + sign)[seen]
+        depth[part][seen] = first[seen]
+        labels[part][seen] = box.label
+        faces[part][seen] = (2 * axis + sign)[seen]
     return Cast(np.where(np.isfinite(depth), depth, 0.0), labels, faces)
+
+
+def _around(box: Box, intrinsics: np.ndarray[Any, Any], size: tuple[int, int]) -> tuple[slice, slice]:
+    """The rows and columns that a box is seen in at most; all of them where some of it is beside the camera."""
+    signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
+    corners = signs * box.size @ box.pose[:3, :3].T + box.pose[:3, 3]
+    if corners[:, 2].min() <= 0.0:
+        return slice(None), slice(None)
+    pixels = corners[:, :2] / corners[:, 2:] * intrinsics[:2] + intrinsics[2:]
+    low = np.clip(np.floor(pixels.min(axis=0)).astype(int), 0, size)
+    high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + 1, 0, size)
+    return slice(low[1], high[1]), slice(low[0], high[0])
 
 
 def photograph(boxes: Sequence[Box], noise: float, rng: np.random.Generator) -> np.ndarray[Any, Any]:

@@ -34,6 +34,7 @@ def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
         "probation": 0,
         "others": (),
         "support": np.zeros(3),
+        "stands": False,
         "score": 1.0,
         "status": "tracked",
         "failed_searches": 0,

@@ -26,6 +26,7 @@ NOTHING: Looks = {
     "parts": np.zeros(0, dtype=np.int64),
     "hits": np.zeros((0, 2), dtype=np.float32),
     "tolerance": None,
+    "size": 1.0,
     "judged": 0,
     "bent": np.zeros(0, dtype=np.int64),
     "bends": np.zeros((0, 3)),
@@ -110,7 +111,7 @@ def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> 
 def only_found(slots: Looks) -> Looks:
     """What is remembered of an object in another light, or in another place, where it may be another of the sides that
     look alike that is seen: where its edges are, and which parts of them are found."""
-    model: Looks = {**NOTHING, "tolerance": slots["tolerance"], "bent": slots["bent"]}
+    model: Looks = {**NOTHING, "tolerance": slots["tolerance"], "size": slots["size"], "bent": slots["bent"]}
     return {**model, "bends": slots["bends"], "slack": slots["slack"], "parts": slots["parts"], "hits": slots["hits"]}
 
 

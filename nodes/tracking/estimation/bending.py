@@ -18,6 +18,8 @@ from hierax.nodes.tracking.schema import ControlPoints, Looks
 
 def bent(controls: ControlPoints, looks: Looks) -> ControlPoints:
     """One object's control points where its edges were found to be."""
+    if looks["size"] != 1.0:
+        controls = {**controls, "points": looks["size"] * controls["points"]}
     if not looks["tolerance"] or not len(looks["bent"]):
         return controls
     offsets = np.zeros((len(controls["edges"]), 3))

@@ -67,13 +67,13 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     return Task(image, controls, memory, intrinsics, start, near, prior)
 
 
-def prior_of(objects: Sequence[TrackedObject], motion: Floats, camera: Floats | None) -> Prior:
+def prior_of(objects: Sequence[TrackedObject], motion: Floats, joint: Floats | None) -> Prior:
     """What is known before an image; motion: (6, 6) or (m, 6, 6) covariance of an object's deviation from its
-    prediction within a frame, when it is pushed; camera: as `Prior` has it."""
+    prediction within a frame, when it is pushed; joint: as `Prior` has it."""
     covariance = np.stack([item["covariance"] for item in objects])
     motion_scale = np.array([_with_motion(item) for item in objects])
     trend = np.array([item["trend"] for item in objects])
-    return Prior(covariance, motion, motion_scale, trend, camera)
+    return Prior(covariance, motion, motion_scale, trend, joint)
 
 
 def explained(task: Task) -> Explained | None:
@@ -85,7 +85,7 @@ def explained_again(task: Task, before: Explained, doubtful: Sequence[int]) -> E
     """The same from where the camera's error puts the objects, when it is large and some are in doubt: far from its
     edges an object may have taken others; what the rest of them says of the camera brings it near. None where that is
     no better."""
-    if task.prior.camera is None or not doubtful:
+    if task.prior.joint is None or not doubtful:
         return None
     shift = exp_many(before.fused.shift[None])[0]
     jumps = _flat((shift @ task.start.poses)[doubtful]) - _flat(task.start.poses[doubtful])

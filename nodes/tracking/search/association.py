@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking import constants as const
-from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
+from hierax.nodes.tracking.estimation.alignment import offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.certainty import right
+from hierax.nodes.tracking.estimation.drift import together_of
 from hierax.nodes.tracking.estimation.fusion import Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
     Explained,
@@ -30,7 +31,7 @@ from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, l
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS
 from hierax.nodes.tracking.model.symmetry import alike, kept_free, moved_along
-from hierax.nodes.tracking.schema import Looks, TrackedObject
+from hierax.nodes.tracking.schema import Looks, Together, TrackedObject
 from hierax.nodes.tracking.search.imprecision import with_models_judged
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
@@ -68,23 +69,32 @@ class Estimate(NamedTuple):
     guesses: Floats  # (n, 4, 4) the poses that explain the image best besides
 
 
+class Associated(NamedTuple):
+    """All objects and the camera after the image."""
+
+    shift: Floats  # (4, 4) what the camera's error does to all poses
+    drift: Floats  # (6,) what is left of that in the next image, twist in its frame
+    estimates: list[Estimate]  # of each object
+    together: Together | None  # how errors go together, in the next image
+
+
 def associate(
-    image: Image, objects: Sequence[TrackedObject], camera: Floats | None, intrinsics: Array, options: Options
-) -> tuple[Floats, list[Estimate]] | None:
+    image: Image, objects: Sequence[TrackedObject], joint: Floats | None, intrinsics: Array, options: Options
+) -> Associated | None:
     """The poses that explain an image.
 
     Args:
         image: of `hierax.nodes.tracking.estimation.profiles.smoothed`.
         objects: each with "pose" (predicted camera_from_object), "before" (where it would be if it
             had not moved), "covariance", "motion_scale", "probation", "controls", "slots", "failed_searches" and "id".
-        camera: (6, 6) inverse covariance of the camera's error; None where its pose is exact.
+        joint: covariance of the camera's error and of the objects', as `hierax.nodes.tracking.estimation.fusion.Prior`
+            has it; None where the camera's pose is exact.
         intrinsics: (4,) fx, fy, cx, cy in pixels; options: how far things go.
 
     Returns:
-        What the camera's error does to all poses (4, 4), and each object's estimate; None
-        where nothing is expected in the image.
+        None where nothing is expected in the image.
     """
-    prior = prior_of(objects, options.motion, camera)
+    prior = prior_of(objects, options.motion, joint)
     task = task_of(image, objects, prior, intrinsics)
     best = explained(task)
     if best is None:
@@ -95,7 +105,7 @@ def associate(
     if again is not None:
         best, found = again, _found(again, task.start.poses)
         doubtful = _doubtful(found, objects, options)
-    shift = exp_many(best.fused.shift[None])[0]
+    shift, fused = exp_many(best.fused.shift[None])[0], found.poses
     found, judged = with_models_judged(task, best, objects, found, options.tolerance)
     doubtful = _doubtful(found, objects, options) if judged else doubtful
     # After an image with many starts about where an object was, which takes long, comes one without.
@@ -107,10 +117,12 @@ def associate(
         elsewhere = look_elsewhere(Looking(task, objects, shift, falling), found, searched)
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
     found = _as_predicted(found, objects, shift)
-    learned = _learned(best.aligned, found, task, objects, doubtful, judged)
+    kept = [at for at in range(len(objects)) if np.allclose(found.poses[at], fused[at], atol=1e-9)]
+    learned = _learned(best, found, task, objects, doubtful, judged, kept)
     counts = [max(0, item["failed_searches"] + (1 if at in doubtful else -1)) for at, item in enumerate(objects)]
     failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(counts)]
-    return shift, _estimates(found, learned, failed_searches)
+    estimates = _estimates(found, learned, failed_searches)
+    return Associated(shift, best.fused.drift, estimates, together_of(objects, kept, best.fused.joint))
 
 
 def _found(explained: Explained, predicted: Floats) -> Found:
@@ -187,26 +199,33 @@ def _is_still(item: TrackedObject, motion_scale: float) -> bool:
 
 
 def _learned(
-    aligned: Aligned,
+    best: Explained,
     found: Found,
     task: Task,
     objects: Sequence[TrackedObject],
     doubtful: list[int],
     judged: Mapping[int, Looks],
+    kept: Sequence[int],
 ) -> list[Looks]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
+    aligned, sizes = best.aligned, np.zeros(len(objects))
+    sizes[kept] = best.fused.sizes[kept]
+    # As large as they were expected to be they would look the same somewhat nearer.
+    poses = found.poses.copy()
+    poses[:, :3, 3] *= 1.0 - sizes[:, None]
     controls, profiles = aligned.stage.controls, aligned.stage.profiles
     seen = controls.visible > const.SURE_SEEN
     sure = aligned.supported & seen
-    offsets = offsets_at(aligned, found.poses)
+    offsets = offsets_at(aligned, poses)
     places = controls.slots[:, 0]
     learned = []
     for at, item in enumerate(objects):
         known = judged.get(at, {**item["slots"], "judged": max(0, item["slots"]["judged"] - 1)})
+        known = {**known, "size": known["size"] * float(1.0 + sizes[at]) if at in kept else 1.0}
         if at in doubtful or found.scores[at] < const.LEARNED_SCORE or (at in judged and known["tolerance"]):
             learned.append(known)
             continue
-        known = bent_after(known, aligned, at, found.poses[at], task.intrinsics)
+        known = bent_after(known, aligned, at, poses[at], task.intrinsics)
         chosen = np.nonzero(sure & (controls.owners == at))[0]
         every = np.nonzero(seen & (controls.owners == at))[0]
         near = sure[every] & (np.abs(offsets[every] - aligned.off[every]) < const.FOUND_PX)

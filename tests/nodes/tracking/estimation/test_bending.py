@@ -31,7 +31,7 @@ def seen(tolerance: float | None, images: int, seed: int = 3) -> list[Estimate]:
         item["controls"] = bent(expected(FIRST, item["pose"])["controls"], item["slots"])
         found = associate(image, [item], None, INTRINSICS, Options(MOTION, 0.75, tolerance=tolerance))
         assert found is not None
-        estimates.append(found[1][0])
+        estimates.append(found.estimates[0])
         item |= {
             "pose": estimates[-1].pose,
             "before": estimates[-1].pose,

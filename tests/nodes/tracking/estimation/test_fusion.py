@@ -9,6 +9,7 @@ from support.drawn import BOXES, FIRST, all_expected, expected
 from hierax.nodes.tracking.constants import LEAST_MOTION_SCALE
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import NOTHING, recalled
+from hierax.nodes.tracking.estimation.drift import joint_of
 from hierax.nodes.tracking.estimation.fusion import Prior, fuse
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.stages import Search
@@ -20,15 +21,15 @@ MOTION = np.diag([0.01**2] * 3 + [0.06**2] * 3)
 KNOWN = 1e-3**2 * np.diag([1.0] * 3 + [50.0] * 3)
 
 
-def aligned(twist: np.ndarray, camera: np.ndarray | None = None) -> tuple[Aligned, Prior]:
+def aligned(twist: np.ndarray) -> tuple[Aligned, Prior]:
     items = all_expected(BOXES, [box.pose @ exp_se3(-twist) for box in BOXES])
     covariance = np.stack([KNOWN] * 2)
     controls = gathered([item["controls"] for item in items])
-    start = Start(np.stack([item["pose"] for item in items]), inverse(covariance + MOTION), camera)
+    start = Start(np.stack([item["pose"] for item in items]), inverse(covariance + MOTION))
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(3)))
     found = align(image, controls, start, INTRINSICS, recalled([NOTHING] * 2, controls, 1), Search())
     assert found is not None
-    return found, Prior(covariance, MOTION, np.full(2, 0.02), np.zeros((2, 6)), camera)
+    return found, Prior(covariance, MOTION, np.full(2, 0.02), np.zeros((2, 6)), None)
 
 
 def test_what_moved_is_believed_at_once() -> None:
@@ -72,16 +73,18 @@ def test_small_deviations_the_same_way_surprise_in_the_end() -> None:
 
 
 def test_a_common_error_goes_to_the_camera_where_it_may_have_one() -> None:
-    camera = np.diag([1.0 / 0.0015**2] * 3 + [1.0 / 0.0025**2] * 3)
+    reports = np.diag([0.0015**2] * 3 + [0.0025**2] * 3)
     error = np.array([0.001, 0.0008, 0.0, 0.0, 0.0, 0.002])
     items = all_expected(BOXES, [exp_se3(-error) @ box.pose for box in BOXES])
     covariance = np.stack([0.04 * KNOWN] * 2)
+    joint = joint_of([{**item, "covariance": 0.04 * KNOWN} for item in items], None, reports)
+    prior = Prior(covariance, MOTION, np.full(2, 0.02), np.zeros((2, 6)), joint)
     controls = gathered([item["controls"] for item in items])
-    start = Start(np.stack([item["pose"] for item in items]), inverse(covariance + 0.1 * MOTION), camera)
+    start = Start(np.stack([item["pose"] for item in items]), inverse(covariance + 0.1 * MOTION), prior.camera)
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(5)))
     found = align(image, controls, start, INTRINSICS, recalled([NOTHING] * 2, controls, 1), Search())
     assert found is not None
-    fused = fuse(found, Prior(covariance, MOTION, np.full(2, 0.02), np.zeros((2, 6)), camera))
+    fused = fuse(found, prior)
     assert np.linalg.norm(fused.shift[:3] - error[:3]) < 0.5 * np.linalg.norm(error[:3])
     assert np.abs(fused.own[:, :3]).max() < 0.0006
 

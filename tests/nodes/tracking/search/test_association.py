@@ -9,6 +9,7 @@ import pytest
 from support.boxes import INTRINSICS, photograph
 from support.drawn import BOXES, FIRST, all_expected, expected
 
+from hierax.nodes.tracking.estimation.drift import joint_of
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.math.geometry import exp_se3, pose_error
 from hierax.nodes.tracking.search import association
@@ -16,7 +17,7 @@ from hierax.nodes.tracking.search.association import Options, associate
 from hierax.nodes.tracking.search.multistart import Found
 
 OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.75)
-CAMERA = np.diag([1.0 / 0.0015**2] * 3 + [1.0 / 0.0025**2] * 3)
+REPORTS = np.diag([0.0015**2] * 3 + [0.0025**2] * 3)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -27,7 +28,7 @@ def test_wrong_predictions_are_corrected(seed: int) -> None:
     image = smoothed(photograph(BOXES, 2.0, rng))
     found = associate(image, all_expected(BOXES, predicted), None, INTRINSICS, OPTIONS)
     assert found is not None
-    for estimate, box in zip(found[1], BOXES, strict=True):
+    for estimate, box in zip(found.estimates, BOXES, strict=True):
         distance, angle = pose_error(estimate.pose, box.pose)
         assert distance < 0.0015, f"seed {seed}"
         assert angle < np.radians(0.5), f"seed {seed}"
@@ -43,16 +44,16 @@ def test_what_all_objects_do_together_is_the_cameras_error() -> None:
         for item in all_expected(BOXES, [error @ box.pose for box in BOXES])
     ]
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(6)))
-    found = associate(image, known, CAMERA, INTRINSICS, OPTIONS)
+    found = associate(image, known, joint_of(known, None, REPORTS), INTRINSICS, OPTIONS)
     assert found is not None
-    shift, estimates = found
-    for estimate, item, box in zip(estimates, known, BOXES, strict=True):
+    shift = found.shift
+    for estimate, item, box in zip(found.estimates, known, BOXES, strict=True):
         assert pose_error(estimate.pose, box.pose)[0] < 0.001
         # By the camera's part alone each object is nearer to where it is than it was.
         assert pose_error(shift @ item["pose"], box.pose)[0] < 0.6 * pose_error(item["pose"], box.pose)[0]
     held = associate(image, known, None, INTRINSICS, OPTIONS)
     assert held is not None
-    assert np.array_equal(held[0], np.eye(4))
+    assert np.array_equal(held.shift, np.eye(4))
 
 
 def test_an_object_that_was_pushed_far_is_found() -> None:
@@ -60,7 +61,7 @@ def test_an_object_that_was_pushed_far_is_found() -> None:
     item = {**expected(FIRST, away), "motion_scale": 1.0}
     found = associate(smoothed(photograph([FIRST], 2.0, np.random.default_rng(7))), [item], None, INTRINSICS, OPTIONS)
     assert found is not None
-    distance, angle = pose_error(found[1][0].pose, FIRST.pose)
+    distance, angle = pose_error(found.estimates[0].pose, FIRST.pose)
     assert distance < 0.0015
     assert angle < np.radians(0.6)
 
@@ -72,10 +73,10 @@ def test_images_without_the_object_score_low() -> None:
     for image in (blank, noise):
         found = associate(smoothed(image), [expected(FIRST, FIRST.pose)], None, INTRINSICS, OPTIONS)
         assert found is not None
-        assert found[1][0].score < 0.35
+        assert found.estimates[0].score < 0.35
     held = associate(smoothed(blank), [expected(FIRST, FIRST.pose)], None, INTRINSICS, OPTIONS)
     assert held is not None
-    assert np.allclose(held[1][0].pose, FIRST.pose, atol=1e-9)
+    assert np.allclose(held.estimates[0].pose, FIRST.pose, atol=1e-9)
 
 
 @pytest.mark.parametrize("away", [0.0, 0.002])
@@ -88,7 +89,7 @@ def test_where_its_edges_are_off_is_told_by_what_is_still(away: float) -> None:
     for _ in range(3):
         found = associate(image, [item], None, INTRINSICS, OPTIONS)
         assert found is not None
-        item = {**item, "slots": found[1][0].slots}
+        item = {**item, "slots": found.estimates[0].slots}
     assert len(item["slots"]["keys"]) > 0
     assert (len(item["slots"]["edges"]) > 0) == (away == 0.0)
 
@@ -104,11 +105,12 @@ def test_nothing_is_said_where_nothing_is_expected_in_the_image() -> None:
 def test_equal_to_the_bit_when_done_again() -> None:
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(9)))
     known = all_expected(BOXES, [box.pose @ exp_se3(np.full(6, 0.003)) for box in BOXES])
-    first, second = (associate(image, known, CAMERA, INTRINSICS, OPTIONS) for _ in range(2))
+    joint = joint_of(known, None, REPORTS)
+    first, second = (associate(image, known, joint, INTRINSICS, OPTIONS) for _ in range(2))
     assert first is not None
     assert second is not None
-    assert first[0].tobytes() == second[0].tobytes()
-    for one, other in zip(first[1], second[1], strict=True):
+    assert first.shift.tobytes() == second.shift.tobytes()
+    for one, other in zip(first.estimates, second.estimates, strict=True):
         assert one.pose.tobytes() == other.pose.tobytes()
         assert one.covariance.tobytes() == other.covariance.tobytes()
 
@@ -128,7 +130,7 @@ def test_what_is_found_elsewhere_no_farther_away_than_predictions_err_did_not_mo
     blank = smoothed(np.full((480, 640), 120, dtype=np.uint8))
     found = associate(blank, [item], None, INTRINSICS, OPTIONS)
     assert found is not None
-    estimate = found[1][0]
+    estimate = found.estimates[0]
     assert estimate.elsewhere != rests
     assert (estimate.motion_scale == 1.0) != rests
     moved = pose_error(estimate.pose, FIRST.pose)[0]

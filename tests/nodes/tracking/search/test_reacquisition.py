@@ -37,7 +37,7 @@ def looked_for(box: Box, others: list[dict[str, Any]], seen: list[Box], seed: in
     image = smoothed(photograph(seen, 2.0, np.random.default_rng(seed)))
     found = associate(image, [{**item, "others": tuple(others)}, *beside], None, INTRINSICS, OPTIONS)
     assert found is not None
-    return found[1][0]
+    return found.estimates[0]
 
 
 @pytest.mark.parametrize("seed", range(3))

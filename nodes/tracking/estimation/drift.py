@@ -1,0 +1,94 @@
+"""What of the camera's error lasts, and how it goes together with the objects' errors.
+
+A camera's reported pose has an error that is drawn anew in each image, and one that lasts, its drift. Where the camera
+is over the table only reports tell; where objects are, the image tells with regard to the camera. So who has the camera
+too high has everything too far away, and no single image says which of it is wrong: each would have the camera follow
+its report, and objects with it. Hence the covariance of all of them together is kept, as in simultaneous localisation
+and mapping (Smith, Self and Cheeseman, 1990).
+
+How large an object is beside its model is part of that, for the same reason: what is larger looks as if it were nearer.
+Where it stands tells both, as far as it is known where the camera is."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hierax.nodes.tracking import constants as const
+from hierax.nodes.tracking.estimation.fusion import Rows
+from hierax.nodes.tracking.imagery.alternatives import bounds_of_rest
+from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.model.controls import Indices
+from hierax.nodes.tracking.schema import TRACKED, Together, TrackedObject
+
+
+def joint_of(objects: Sequence[TrackedObject], together: Together | None, reports: Floats) -> Floats:
+    """`hierax.nodes.tracking.estimation.fusion.Prior.joint` of the objects.
+
+    Args:
+        together: what is known since the image before; None: nothing.
+        reports: (6, 6) covariance of the error that is drawn anew in each image.
+    """
+    whole = _continued(objects, together)
+    whole[Rows.drift, Rows.drift] += const.DRIFTS**2 * reports
+    for at, item in enumerate(objects):
+        if item["stands"]:
+            whole = _resting(whole, _pose(at), item["support"])
+    rows = np.r_[Rows.drift, : len(whole)]  # an image's error is the drift, and what it has of its own
+    joint = whole[np.ix_(rows, rows)]
+    joint[Rows.error, Rows.error] += reports
+    return np.asarray(joint)
+
+
+def together_of(objects: Sequence[TrackedObject], kept: Sequence[int], joint: Floats | None) -> Together | None:
+    """What is known after an image; kept: which objects are in the end where that has them, joint: as
+    `hierax.nodes.tracking.estimation.fusion.Fused` has it."""
+    if joint is None:
+        return None
+    rows = _rows(kept)
+    ids = np.array([objects[at]["id"] for at in kept], dtype=np.int64)
+    return {"ids": ids, "covariance": joint[np.ix_(rows, rows)]}
+
+
+def _rows(places: Sequence[int]) -> Indices:
+    """Where the drift, and these objects, stand in a covariance of the drift and of objects."""
+    return np.concatenate([np.arange(6), *(np.arange(7) + 7 * at + 6 for at in places)])
+
+
+def _continued(objects: Sequence[TrackedObject], together: Together | None) -> Floats:
+    """(6 + 7 m, 6 + 7 m) covariance of the drift and of the objects; what nothing was known of goes with nothing."""
+    size = 6 + 7 * len(objects)
+    whole = np.zeros((size, size))
+    for at, item in enumerate(objects):
+        view = _pose(at)
+        whole[view, view] = item["covariance"]
+        whole[view.stop, view.stop] = _size_variance(item)
+    if together is None:
+        return whole
+    places = {number: place for place, number in enumerate(together["ids"].tolist())}
+    known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
+    here, there = _rows(known), _rows([places[objects[at]["id"]] for at in known])
+    whole[np.ix_(here, here)] = together["covariance"][np.ix_(there, there)]
+    return whole
+
+
+def _size_variance(item: TrackedObject) -> float:
+    """How large an object may be beside its model, as the square of a share: more so where its model is imprecise."""
+    tolerance, points = item["slots"]["tolerance"], item["controls"]["points"]
+    if not tolerance or not len(points):
+        return const.SIZES**2
+    return const.SIZES**2 + tolerance**2 / float((points * points).sum(axis=1).max())
+
+
+def _pose(at: int) -> slice:
+    return slice(7 * at + 6, 7 * at + 12)
+
+
+def _resting(whole: Floats, pose: slice, support: Floats) -> Floats:
+    """The covariance where an object, whose pose has these rows, is as high and as upright as what carries it leaves
+    it."""
+    for direction, spread in bounds_of_rest(support):
+        along = whole[:, pose] @ direction
+        variance = float(along[pose] @ direction)
+        if variance > spread**2:
+            whole = whole - np.outer(along, along) * ((variance - spread**2) / variance**2)
+    return whole
