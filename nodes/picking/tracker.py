@@ -18,7 +18,8 @@ from hierax.nodes.tracking.schema import FirstBody, FirstPose, Model
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 
-JOINTS_M, JOINTS_RAD = 0.0002, 0.0003  # standard deviations of where they say that the camera is, in each axis
+# Of the arm: standard deviations of where joints say that the camera is, in each axis; cubes are as their models.
+KNOWN = {"camera_m": 0.0002, "camera_rad": 0.0003, "model_tolerance_mm": 0.0}
 
 
 class PickArm(CommandedNode, ArmNode):
@@ -93,9 +94,8 @@ class PickSpatial(CommandedNode, SpatialNode):
 
 def arm(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickArm:
     """The arm node with a first guess at the cubes' poses, and nothing of their shapes; options are further ones of
-    `ArmNode`. Where its camera is the joints say, but for little."""
-    known = {"camera_m": JOINTS_M, "camera_rad": JOINTS_RAD}
-    return PickArm(first_poses(scene, cubes), **known | options)
+    `ArmNode`, and others than `KNOWN`."""
+    return PickArm(first_poses(scene, cubes), **KNOWN | options)
 
 
 def spatial(scene: int = 0, cubes: int = CUBES, **options: Any) -> PickSpatial:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from hierax.nodes.picking.layout import CUBES
-from hierax.nodes.picking.tracker import PickArm, first_poses
+from hierax.nodes.picking.tracker import KNOWN, PickArm, first_poses
 from hierax.nodes.tracking.arm import unseen
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, transform
 from hierax.nodes.tracking.schema import LOST, TRACKED, ControlPoints, TrackedObject
@@ -115,4 +115,4 @@ def _share(seen: Floats, colour: Floats) -> float:
 
 def arm(scene: int = 0, cubes: int = CUBES, **options: Any) -> TowerArm:
     """The arm node as `hierax.nodes.picking.tracker.arm` has it, below a builder."""
-    return TowerArm(first_poses(scene, cubes), **options)
+    return TowerArm(first_poses(scene, cubes), **KNOWN | options)

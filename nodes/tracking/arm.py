@@ -52,8 +52,8 @@ class ArmNode(Node):
         found_score: a lost object is found again at this score.
         patience: images in a row without support until an object is lost.
         prior: false: an image corrects poses as if nothing were known of them but where to look.
-        model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; None: the first
-            image that shows enough of an object tells.
+        model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; 0: models are
+            exact, and as large as objects; None: the first image that shows enough of an object tells.
         waits: up to this epoch it waits for its first context, and objects stay where they are said to be: the spatial
             node may take part, or its predictions count, from a later epoch on only.
         camera: of a camera there might have been, world_from_camera, from which the first poses are seen; None: they
@@ -95,6 +95,7 @@ class ArmNode(Node):
         motion = diagonal_covariance(motion_m, motion_rad)
         self._options = Options(motion, sure_score, tolerance=tolerance)
         self._reports = diagonal_covariance(camera_m, camera_rad)
+        self._sizes = const.SAME_SIZE if tolerance == 0.0 else const.SIZES
         self._kept_score = kept_score
         self._found_score = found_score
         self._patience = patience
@@ -213,7 +214,7 @@ class ArmNode(Node):
         motion = np.stack([self._motion(item) for item in objects])
         falling = np.stack([held(self._options.motion, item["support"], const.FALLING, 1.0) for item in known])
         options = self._options._replace(motion=motion, falling=falling)
-        joint = None if reports is None else joint_of(known, together, reports)
+        joint = None if reports is None else joint_of(known, together, reports, self._sizes)
         return associate(image, known, joint, np.asarray(intrinsics), options)
 
     def _corrected(self, objects: _Objects, found: Associated | None) -> _Objects:

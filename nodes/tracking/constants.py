@@ -197,6 +197,7 @@ TRY_PX, TRY_RAD = 5.0, 0.09  # steps of the closer look
 
 LEAST_CHANCE = 0.02  # control points that are less likely to be seen are left out
 SAMPLES = np.random.default_rng(0).normal(size=(512, 6))  # of which probabilities are shares
+SAME_SIZE = 1e-6  # standard deviation of how large what is told to be exact is, as a share: none, but for the inverse
 EASE = 1e-3  # share of the prior that is counted as seen, so that what no edge shows stays finite
 MOST_ROWS = 30_000  # OpenCV takes less than 32768 rows at a time
 IMAGE_MARGIN_PX, ALONG_M = 3.0, 0.001  # what profiles are read beyond; a dash by which an edge's direction is told

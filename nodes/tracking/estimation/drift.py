@@ -21,14 +21,17 @@ from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import TRACKED, Together, TrackedObject
 
 
-def joint_of(objects: Sequence[TrackedObject], together: Together | None, reports: Floats) -> Floats:
+def joint_of(
+    objects: Sequence[TrackedObject], together: Together | None, reports: Floats, sizes: float = const.SIZES
+) -> Floats:
     """`hierax.nodes.tracking.estimation.fusion.Prior.joint` of the objects.
 
     Args:
         together: what is known since the image before; None: nothing.
         reports: (6, 6) covariance of the error that is drawn anew in each image.
+        sizes: how large what has an exact model may be beside it, as a share.
     """
-    whole = _continued(objects, together)
+    whole = _continued(objects, together, sizes)
     whole[Rows.drift, Rows.drift] += const.DRIFTS**2 * reports
     for at, item in enumerate(objects):
         if item["stands"]:
@@ -54,14 +57,14 @@ def _rows(places: Sequence[int]) -> Indices:
     return np.concatenate([np.arange(6), *(np.arange(7) + 7 * at + 6 for at in places)])
 
 
-def _continued(objects: Sequence[TrackedObject], together: Together | None) -> Floats:
+def _continued(objects: Sequence[TrackedObject], together: Together | None, sizes: float) -> Floats:
     """(6 + 7 m, 6 + 7 m) covariance of the drift and of the objects; what nothing was known of goes with nothing."""
     size = 6 + 7 * len(objects)
     whole = np.zeros((size, size))
     for at, item in enumerate(objects):
         view = _pose(at)
         whole[view, view] = item["covariance"]
-        whole[view.stop, view.stop] = _size_variance(item)
+        whole[view.stop, view.stop] = _size_variance(item, sizes)
     if together is None:
         return whole
     places = {number: place for place, number in enumerate(together["ids"].tolist())}
@@ -71,12 +74,12 @@ def _continued(objects: Sequence[TrackedObject], together: Together | None) -> F
     return whole
 
 
-def _size_variance(item: TrackedObject) -> float:
+def _size_variance(item: TrackedObject, exact: float) -> float:
     """How large an object may be beside its model, as the square of a share: more so where its model is imprecise."""
     tolerance, points = item["slots"]["tolerance"], item["controls"]["points"]
     if not tolerance or not len(points):
-        return const.SIZES**2
-    return const.SIZES**2 + tolerance**2 / float((points * points).sum(axis=1).max())
+        return exact**2
+    return exact**2 + tolerance**2 / float((points * points).sum(axis=1).max())
 
 
 def _pose(at: int) -> slice:
