@@ -219,10 +219,9 @@ class ArmNode(Node):
 
     def _corrected(self, objects: _Objects, found: Associated | None) -> _Objects:
         """The objects after the image."""
-        if not any(len(item["controls"]["points"]) for item in objects):
-            return tuple(map(self._out_of_view, objects))
         if found is None:
-            return tuple(map(self._blind, objects))
+            expected = any(len(item["controls"]["points"]) for item in objects)
+            return tuple(map(self._blind if expected else self._out_of_view, objects))
         seen = zip(objects, found.estimates, strict=True)
         return tuple(_sought(self._judged(item, found.shift @ item["pose"], each)) for item, each in seen)
 

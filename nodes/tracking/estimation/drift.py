@@ -15,7 +15,7 @@ import numpy as np
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.fusion import Rows
-from hierax.nodes.tracking.imagery.alternatives import bounds_of_rest
+from hierax.nodes.tracking.imagery.alternatives import at_rest
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import TRACKED, Together, TrackedObject
@@ -35,7 +35,7 @@ def joint_of(
     whole[Rows.drift, Rows.drift] += const.DRIFTS**2 * reports
     for at, item in enumerate(objects):
         if item["stands"]:
-            whole = _resting(whole, _pose(at), item["support"])
+            whole = at_rest(whole, _pose(at), item["support"])
     rows = np.r_[Rows.drift, : len(whole)]  # an image's error is the drift, and what it has of its own
     joint = whole[np.ix_(rows, rows)]
     joint[Rows.error, Rows.error] += reports
@@ -84,14 +84,3 @@ def _size_variance(item: TrackedObject, exact: float) -> float:
 
 def _pose(at: int) -> slice:
     return slice(7 * at + 6, 7 * at + 12)
-
-
-def _resting(whole: Floats, pose: slice, support: Floats) -> Floats:
-    """The covariance where an object, whose pose has these rows, is as high and as upright as what carries it leaves
-    it."""
-    for direction, spread in bounds_of_rest(support):
-        along = whole[:, pose] @ direction
-        variance = float(along[pose] @ direction)
-        if variance > spread**2:
-            whole = whole - np.outer(along, along) * ((variance - spread**2) / variance**2)
-    return whole

@@ -66,22 +66,21 @@ def resting(body: Body, carried: bool) -> Body:
     up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])
     if moves or not carried or not _stands(body["model"]["vertices"] @ pose[:3, :3].T):
         return {**body, "support": up if carried else np.zeros(3), "stands": False}
-    covariance = body["covariance"]
-    for direction, spread in bounds_of_rest(up):
-        along = covariance @ direction
-        variance = float(direction @ along)
-        if variance > spread**2:
-            covariance = covariance - np.outer(along, along) * ((variance - spread**2) / variance**2)
-    return {**body, "covariance": covariance, "support": up, "stands": True}
+    return {**body, "covariance": at_rest(body["covariance"], slice(6), up), "support": up, "stands": True}
 
 
-def bounds_of_rest(up: Floats) -> list[tuple[Floats, float]]:
-    """Along which twists (6,) of its frame something that rests is certain, its height and how it is tilted, with their
-    standard deviations. `up` is (3,) upwards in that frame."""
+def at_rest(covariance: Floats, pose: slice, up: Floats) -> Floats:
+    """A covariance (n, n) where something rests, whose pose, a twist in its frame, has these rows: what carries it
+    tells its height and how it is tilted. `up` is (3,) upwards in that frame."""
     directions = np.zeros((3, 6))
     directions[0, :3] = up
     directions[1:, 3:] = np.linalg.svd(up[None])[2][1:]
-    return list(zip(directions, (const.RESTING_M, const.RESTING_RAD, const.RESTING_RAD), strict=True))
+    for direction, spread in zip(directions, (const.RESTING_M, const.RESTING_RAD, const.RESTING_RAD), strict=True):
+        along = covariance[:, pose] @ direction
+        variance = float(direction @ along[pose])
+        if variance > spread**2:
+            covariance = covariance - np.outer(along, along) * ((variance - spread**2) / variance**2)
+    return covariance
 
 
 def _stands(vertices: Floats) -> bool:
