@@ -20,6 +20,7 @@ from hierax.runtime.recording.reading import Recording
 
 STEADY = ("restart.max_restarts=0", "restart.restart_delay=0.0", "reopen=true", "source_timeout=2")
 EPOCHS, STEP_NS = 24, 16_666_667
+SLOW = 30  # a film of so many frames, of which the first few go round: no jump is one that no camera makes
 BEGUN_NS = 1_700_000_000_123_456_789
 
 
@@ -29,8 +30,8 @@ def stamps(messages: list[Any]) -> list[int]:
 
 def test_it_publishes_and_survives_and_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "52")
-    scene = BopScene(filmed(tmp_path / "made", 4, 1))
-    pictures = [read_image(frame.image) for frame in scene.frames]
+    scene = BopScene(filmed(tmp_path / "made", SLOW, 1))
+    pictures = [read_image(frame.image) for frame in scene.frames[:4]]
     info = camera_info(read_calibration(tmp_path / "made" / "camera.yaml"))
     recording, objects = tmp_path / "live.mcap", tmp_path / "made" / "objects.yaml"
     with router() as where, Talker(where) as talker:
