@@ -86,7 +86,7 @@ class PickSpatial(CommandedNode, SpatialNode):
             moved = along(now, actions[0]["gripper"], length_m(before, now)) @ invert(now)
         seen = {body["id"]: body["pose"] for body in belief["bodies"]}
         bodies = tuple(
-            {**body, "pose": moved @ seen[held], "velocity": np.zeros(6)} if body["id"] == held else body
+            {**body, "pose": moved @ seen[held], "velocity": np.zeros(6), "hangs": 0} if body["id"] == held else body
             for body in predicted["bodies"]
         )
         return {**predicted, "bodies": bodies}

@@ -356,10 +356,11 @@ def _is_missing(item: schema.TrackedObject) -> bool:
 
 
 def _is_refuted(item: schema.TrackedObject) -> bool:
-    """Whether images are explained better without an object that was found just now."""
+    """Whether images are explained better without an object that was found just now, or have it where it cannot rest:
+    it was found where it can."""
     doubted = item["status"] == schema.TRACKED or item["misses"] >= const.CONFIRMED
     seen = float(item["controls"]["visible"].sum()) >= const.LEAST_SHOWN
-    return doubted and seen and item["probation"] > 0 and item["nats"] < 0.0
+    return doubted and seen and item["probation"] > 0 and (item["nats"] < 0.0 or item["hangs"] > 3 * const.CONFIRMED)
 
 
 def _shapeless(item: schema.TrackedObject) -> schema.TrackedObject:

@@ -147,7 +147,7 @@ LEAST_NATS, SURE_NATS = 14.0, 19.0
 # points in sight: on generator A (tower, hidden 0, low contrast 0) right ones have at least 7.5, 8.2 and 52.
 CLEAR_NATS, LEAST_EDGES, LEAST_IN_SIGHT = 6.0, 8.0, 40.0
 SWEEPS_FIRST = 3  # so often all that are missing have to be looked for before one is believed
-CONFIRMED, PROBATION = 3, 20  # images that have to show one in one place; after which it is not doubted any more
+CONFIRMED, PROBATION = 3, 20  # images that have to show one in one place, or hanging; after which it is not doubted
 # How far a pose in which a body rests may be off (m², rad²), and of that upwards, and about level axes: by the camera's
 # error; of the height that bodies reach, how far it may be off, and by how much it is tried lower in turns.
 RESTING_OFF, OFF_UPWARDS, OFF_TILTING = np.diag([0.012**2] * 3 + [0.12**2] * 3), 0.25, 0.15
@@ -182,6 +182,7 @@ FIRST_ITERATIONS, FEW_POINTS, MANY = 3, 30, 16
 AROUND = np.random.default_rng(1).normal(size=(4, 12, 6))  # where tries begin, in turns, standard deviations
 FAILED_AT_ONCE, FAILED_EVERY = 5, 8  # what was not found in so many images is looked for in one of every so many
 AT_ONCE, GUESSES = 8, 3  # poses that are imagined of a body for one image, and that are kept of it
+NEARLY_DOWN = 0.5  # cosine: on faces no farther from down one is imagined to rest that is seen where it cannot
 JUDGED_EVERY = 15  # images until a model that does not do so well is judged again
 FRESH, OLD, RIVALS = 4, 3, 8  # guesses of a sweep, and of those that were judged, that go up; objects chosen together
 SWEPT_AT_ONCE, SWEPT_EVERY, SWEPT_TOGETHER = 6, 3, 2  # as of what failed, of sweeps; so many in an image
@@ -202,6 +203,7 @@ EASE = 1e-3  # share of the prior that is counted as seen, so that what no edge 
 MOST_ROWS = 30_000  # OpenCV takes less than 32768 rows at a time
 IMAGE_MARGIN_PX, ALONG_M = 3.0, 0.001  # what profiles are read beyond; a dash by which an edge's direction is told
 DRAWS, BASES = 512, (2, 3, 5, 7, 11, 13)  # evenly spread draws
+SLANT = 0.1  # sine: what is seen at less of a slant from above than that is not moved along the line of sight
 OUTSIDE_PX, REACH_OUTSIDE_PX = 8.0, 24  # how far outside an image points, outside an outline its errors are looked at
 SECTORS, OWN_BESIDE_PX = 12, 1.0  # directions that smooth outlines are told apart by; where own depth is looked up
 HIDDEN_SIGMAS = 3.0  # standard deviations in depth at which a point is before something for sure

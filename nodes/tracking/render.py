@@ -244,6 +244,7 @@ def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ..
         "status": body["status"],
         "support": body["support"],
         "stands": body["stands"],
+        "hangs": body["hangs"],
         "controls": controls,
         "others": others,
     }

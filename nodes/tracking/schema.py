@@ -137,6 +137,7 @@ class ExpectedObject(MayLookAlike):
     status: str  # as the arm said last
     support: Upwards  # upwards, where something carries it
     stands: bool  # whether it lies on a face there
+    hangs: int  # see `Body`
     controls: ControlPoints  # those that are likely enough to be seen
     others: tuple[Alternative, ...]  # poses that it may have besides
 
@@ -217,6 +218,7 @@ class TrackedObject(PaperObject, MayLookAlike):
     failed_searches: int  # for how many images in a row it was looked for elsewhere and not found
     support: Upwards  # upwards, where something carries it
     stands: bool  # whether it lies on a face there
+    hangs: int  # see `Body`
     others: tuple[Alternative, ...]  # what came of that
     controls: ControlPoints  # points on the edges expected to be seen
     slots: Looks  # what it looks like beside them
@@ -320,6 +322,7 @@ class Body(TypedDict):
     unseen: int  # for how many observations it was not
     support: Upwards  # upwards, where something carries it
     stands: bool  # whether it lies on a face there
+    hangs: int  # for how many images it was tracked where nothing carries it, or where it does not lie on a face
     known: bool  # whether it was ever tracked
     sought: bool  # sought, guesses: as the arm gave them
     turn: int  # how often it was imagined elsewhere, or looked for everywhere

@@ -11,9 +11,18 @@ from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.errors import check_between
-from hierax.nodes.tracking.imagery.alternatives import elsewhere, resting
+from hierax.nodes.tracking.imagery.alternatives import Footing, elsewhere, footing_of, resting, set_down, tops_behind
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
-from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
+from hierax.nodes.tracking.math.geometry import (
+    NO_POSES,
+    Floats,
+    exp_se3,
+    exp_so3,
+    invert,
+    log_se3,
+    log_so3,
+    make_pose,
+)
 from hierax.nodes.tracking.render import is_missing
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
@@ -68,6 +77,7 @@ class SpatialNode(Node):
             body["id"]: [Solid(body["model"]["vertices"], body["mass"], part * friction) for part in (1.0, 0.0)]
             for body in self._bodies
         }
+        self._footings: dict[int, Footing] = {}  # by body, as they are asked for
 
     def initial_belief(self) -> schema.SpatialBelief:
         """The bodies at their first poses, at rest; no camera yet."""
@@ -127,7 +137,8 @@ class SpatialNode(Node):
                 resting(_at(body, self._bounded(body, free, physical)), _is_carried(free, physical, interval_s))
                 for body, free, physical in zip(bodies, coasting, settled, strict=True)
             ]
-        present = {body["id"]: self._looked_for(body, interval_s) for body in after}
+            after = [_hanging(body) for body in after]
+        present = {body["id"]: self._looked_for(body, belief, interval_s) for body in after}
         sweeping = _swept_next(belief) if self._table else None
         every = tuple(present.get(body["id"]) or _sought(body, sweeping or ()) for body in belief["bodies"])
         return {**belief, "bodies": every, "sweeping": sweeping, "carried": tuple(sorted(carried))}
@@ -194,10 +205,23 @@ class SpatialNode(Node):
         moved = make_pose(exp_so3(step[3:]) @ pose[:3, :3], pose[:3, 3] + step[:3])
         return Motion(moved, velocity * np.exp(-self._damping * interval_s))
 
-    def _looked_for(self, body: schema.Body, interval_s: float) -> schema.Body:
+    def _looked_for(self, body: schema.Body, belief: schema.SpatialBelief, interval_s: float) -> schema.Body:
         """A body with the poses at which it is to be looked for besides."""
+        if belief["camera"] is not None and _is_to_be_set_down(body):
+            return self._set_down(body, belief, belief["camera"][:3, 3])
         moved = [self._coasted(Motion(guess, body["velocity"]), interval_s).pose for guess in body["guesses"]]
         return _with_others(body, np.array(moved).reshape(-1, 4, 4))
+
+    def _set_down(self, body: schema.Body, belief: schema.SpatialBelief, eye: Floats) -> schema.Body:
+        """A body that is seen where it cannot rest, with the poses in which it may: on the table, or on what stands
+        there."""
+        number = body["id"]
+        if number not in self._footings:
+            self._footings[number] = footing_of(body["model"]["vertices"])
+        below = [other for other in belief["bodies"] if other["stands"] and other["id"] != number]
+        heights = [0.0, *tops_behind(body["pose"], below, eye)]
+        others = set_down(body["pose"], self._footings[number], eye, heights, body["hangs"] // const.CONFIRMED)
+        return {**body, "others": others, "kept": 0}
 
     def _bounded(self, body: schema.Body, free: Motion, physical: Motion) -> Motion:
         """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks. Where
@@ -228,6 +252,7 @@ def _body(item: schema.FirstBody) -> schema.Body:
         "unseen": 0,
         "support": np.zeros(3),
         "stands": False,
+        "hangs": 0,
         "known": False,
         "sought": False,
         "turn": 0,
@@ -285,6 +310,18 @@ def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
     imagined = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
     others = np.concatenate((guesses, imagined[len(guesses) :]))
     return {**body, "others": others, "kept": len(guesses), "turn": body["turn"] + 1}
+
+
+def _hanging(body: schema.Body) -> schema.Body:
+    """A body as it is imagined for the next image, with how long it was seen where it cannot rest."""
+    hangs = body["status"] == schema.TRACKED and not body["stands"]
+    return {**body, "hangs": body["hangs"] + 1 if hangs else 0}
+
+
+def _is_to_be_set_down(body: schema.Body) -> bool:
+    """Whether a body was seen where it cannot rest for so long that it is imagined where it can; later more seldom."""
+    tries, due = divmod(body["hangs"], const.CONFIRMED)
+    return due == 0 < tries and (tries <= const.FAILED_AT_ONCE or tries % const.FAILED_EVERY == 0)
 
 
 def _is_carried(free: Motion, physical: Motion, interval_s: float) -> bool:

@@ -35,6 +35,7 @@ def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
         "others": (),
         "support": np.zeros(3),
         "stands": False,
+        "hangs": 0,
         "score": 1.0,
         "status": "tracked",
         "failed_searches": 0,

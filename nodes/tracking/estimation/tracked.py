@@ -43,6 +43,7 @@ def first_belief(item: schema.FirstPose, covariance: Floats) -> schema.TrackedOb
         "failed_searches": 0,
         "support": np.zeros(3),
         "stands": False,
+        "hangs": 0,
         "others": (),
         "guesses": NO_POSES,
         "sought": False,
@@ -106,6 +107,7 @@ def imagined(item: schema.TrackedObject, expected: schema.ExpectedObject, camera
         "covariance": expected["covariance"],
         "support": expected["support"],
         "stands": expected["stands"],
+        "hangs": expected["hangs"],
         "others": tuple(
             {**other, "pose": invert(camera) @ other["pose"], "controls": bent(other["controls"], item["slots"])}
             for other in expected["others"]

@@ -7,6 +7,7 @@ import numpy as np
 
 from hierax.nodes.tracking.generator import stock
 from hierax.nodes.tracking.generator.camera import Swing, camera_path
+from hierax.nodes.tracking.generator.knocked import knocked
 from hierax.nodes.tracking.generator.pushed import pushed
 from hierax.nodes.tracking.generator.worn import RADIUS_M, rounded, worn
 from hierax.nodes.tracking.math.geometry import Floats
@@ -43,6 +44,7 @@ class Film:
     strangers: Sequence[Thing] = ()  # things that no model is given of
     stranger_poses: Floats = field(default_factory=lambda: np.zeros((0, 0, 4, 4)))  # (frames, strangers, 4, 4)
     still: bool = False  # whether start and camera are exact by the kind's nature
+    turned: bool = False  # whether things come to lie on other faces: those that look alike are not told apart then
 
     def first(self, objects: int | None) -> "Film":
         """The film with so many of its objects at most. Raises ValueError: `objects` is not positive."""
@@ -168,6 +170,14 @@ def _pushed(rng: np.random.Generator, frames: int) -> Film:
     return Film(things, poses, camera, _lamp(rng), _wood(rng), [rod], rods[:, None], still=True)
 
 
+def _knocked(rng: np.random.Generator, frames: int) -> Film:
+    """Objects that stand far apart, and are knocked over or slide away, one after the other."""
+    swing = _swing(rng, 36.0)
+    far = swing._replace(radius_m=(1.2 * swing.radius_m[0], 1.2 * swing.radius_m[1]))
+    shown = _still_life(rng, frames, lambda: stock.scattered(_items(rng), rng, 0.15, 0.03), far)
+    return replace(shown, poses=knocked(shown.things, rng, frames), turned=True)
+
+
 def _taken(rng: np.random.Generator, frames: int) -> Film:
     """Objects that are taken out, one after the other, and put in elsewhere a little later."""
     shown = _still_life(rng, frames, lambda: stock.scattered(_items(rng)[:5], rng, 0.15, 0.02), _swing(rng, 40.0))
@@ -274,6 +284,7 @@ KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "low-contrast": _low_contrast,
     IMPRECISE: _imprecise,
     "pushed": _pushed,
+    "knocked": _knocked,
     "curved": _curved,
     "figures": _figures,
     "taken": _taken,

@@ -69,7 +69,8 @@ def write_scene(
     with writing():
         _write_images(out / "test" / SCENE / "rgb", shown, rng)
     write_truth(out, shown.camera, INTRINSICS, poses, [_shares(shown, frame) for frame in range(len(poses))])
-    silent = [number for number, thing in enumerate(shown.things, start=1) if thing.shape.normals is not None]
+    curved = [thing.shape.normals is not None for thing in shown.things]
+    silent = [number for number, smooth in enumerate(curved, start=1) if smooth or shown.turned]
     return write_said(out, [thing.shape.mesh for thing in shown.things], Told(camera, INTRINSICS, start), silent)
 
 

@@ -5,12 +5,16 @@ seen of it there.
 
 And what it says of a body that it lies on something."""
 
+from collections.abc import Sequence
+from itertools import product
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking import constants as const
-from hierax.nodes.tracking.math.geometry import Floats, exp_se3
+from hierax.nodes.tracking.imagery.proposals import outermost, stable_faces
+from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, exp_so3, make_pose, transform, unit
 from hierax.nodes.tracking.schema import Body
 
 
@@ -56,6 +60,63 @@ def _open(support: Floats) -> Floats:
     directions[:3, :2] = level.T
     directions[3:, 2] = support
     return directions
+
+
+class Footing(NamedTuple):
+    """How a body may rest."""
+
+    corners: Floats  # (n, 3) of its convex hull, object's frame
+    centre: Floats  # (3,) of its bounding box
+    faces: list[Floats]  # unit vectors (3,) that point downwards then, object's frame
+
+
+def footing_of(vertices: Floats) -> Footing:
+    """How a body of these vertices (n, 3) may rest."""
+    corners = outermost(vertices)
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+    return Footing(corners, centre, stable_faces(corners, centre))
+
+
+def set_down(pose: Floats, footing: Footing, eye: Floats, heights: Sequence[float], turn: int) -> Floats:
+    """Poses (n, 4, 4) in which a body rests at heights, m, that look about as it does at a pose in which it cannot:
+    farther away or nearer along the line of sight from `eye` (3,), on those of its faces that are nearly down, turned
+    about the vertical; other turns give others. None for what has no face to rest on, or is not below the eye."""
+    away = transform(pose, footing.centre[None])[0] - eye
+    if away[2] > -const.SLANT * float(np.linalg.norm(away)):
+        return NO_POSES
+    lowest = [face for face in footing.faces if float(face @ pose[2, :3]) < -const.NEARLY_DOWN]
+    ways = list(product(lowest, heights))
+    found = []
+    for row in range(const.AT_ONCE * turn, const.AT_ONCE * (turn + 1)) if ways else ():
+        down, height = ways[row % len(ways)]
+        yaw = np.sqrt(const.BODY_ASTRAY[5, 5]) * _DRAWS[row // len(ways) % const.DRAWS, 0]
+        rotation = exp_so3(np.array([0.0, 0.0, yaw])) @ _levelled(pose[:3, :3], down)
+        foot = float(((footing.corners - footing.centre) @ rotation[2]).min())
+        centre = eye + away * ((height - foot - eye[2]) / away[2])
+        found.append(make_pose(rotation, centre - rotation @ footing.centre))
+    return np.array(found).reshape(-1, 4, 4)
+
+
+def tops_behind(pose: Floats, standing: Sequence[Body], eye: Floats) -> list[float]:
+    """How high, m, those of the standing bodies are to whose upper face the line of sight from `eye` (3,) to a body at
+    a pose goes, or would go on to."""
+    away = pose[:3, 3] - eye
+    found = []
+    for other in standing:
+        corners = transform(other["pose"], other["model"]["vertices"])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        there = eye + away * ((high[2] - eye[2]) / min(float(away[2]), -1e-6))
+        if ((there[:2] > low[:2]) & (there[:2] < high[:2])).all():
+            found.append(float(high[2]))
+    return found
+
+
+def _levelled(rotation: Floats, down: Floats) -> Floats:
+    """(3, 3) a rotation, turned on by as little as has a direction of the object's frame point downwards."""
+    ahead = rotation @ down
+    axis = np.array([-ahead[1], ahead[0], 0.0])  # ahead × downwards
+    angle = np.arctan2(np.linalg.norm(axis), -ahead[2])
+    return np.asarray(exp_so3(angle * unit(axis)) @ rotation)
 
 
 def resting(body: Body, carried: bool) -> Body:

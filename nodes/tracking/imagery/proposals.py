@@ -58,11 +58,7 @@ class Proposer:
 def resting_poses(shape: Shape) -> list[Floats]:
     """Poses (place_from_object) of a body that stands at a place, turned about the vertical; those that look alike
     once."""
-    corners = (
-        shape.vertices
-        if len(shape.vertices) <= const.HULL_CORNERS
-        else support_points(shape.vertices, const.HULL_CORNERS)
-    )
+    corners = outermost(shape.vertices)
     diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
     kept: list[Floats] = []
     seen = np.zeros((0, *corners.shape))
@@ -78,6 +74,11 @@ def resting_poses(shape: Shape) -> list[Floats]:
                 kept.append(pose)
                 seen = np.concatenate((seen, placed[None]))
     return kept
+
+
+def outermost(vertices: Floats) -> Floats:
+    """(n, 3) those of a body's vertices that faces on which it may rest are looked for between."""
+    return vertices if len(vertices) <= const.HULL_CORNERS else support_points(vertices, const.HULL_CORNERS)
 
 
 def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:

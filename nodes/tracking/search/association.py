@@ -222,7 +222,9 @@ def _learned(
     for at, item in enumerate(objects):
         known = judged.get(at, {**item["slots"], "judged": max(0, item["slots"]["judged"] - 1)})
         known = {**known, "size": known["size"] * float(1.0 + sizes[at]) if at in kept else 1.0}
-        if at in doubtful or found.scores[at] < const.LEARNED_SCORE or (at in judged and known["tolerance"]):
+        # Where something cannot rest, it may be that it is elsewhere.
+        least = const.CERTAIN_SCORE if item["hangs"] else const.LEARNED_SCORE
+        if at in doubtful or found.scores[at] < least or (at in judged and known["tolerance"]):
             learned.append(known)
             continue
         known = bent_after(known, aligned, at, poses[at], task.intrinsics)

@@ -79,12 +79,12 @@ def with_models_judged(
 def _is_asked(item: TrackedObject, score: float, given: float | None) -> bool:
     """Whether an object's model is judged in this image: at once; one that does not do well as exact, now and then.
 
-    Where nobody knows where the object is, its pose is to be found first."""
+    Where nobody knows where the object is, its pose is to be found first; where it cannot rest, a better one."""
     looks = item["slots"]
     if item["others"] or item["status"] == LOST:
         return False
-    if looks["tolerance"] is None:
-        return True
+    if looks["tolerance"] is None or item["hangs"]:
+        return looks["tolerance"] is None
     return given is None and looks["tolerance"] == 0.0 and score < const.DOING_WELL and looks["judged"] == 0
 
 

@@ -76,10 +76,8 @@ def look_for_missing(
             continue
         at = places[sweep["id"]]
         known = found.get(at, Sighting(NO_POSES))
-        if known.pose is None:
-            found[at] = Sighting(
-                np.concatenate((known.guesses, _fresh(search, maps, only_found(objects[at]["slots"]), sweep)))
-            )
+        fresh = _fresh(search, maps, only_found(objects[at]["slots"]), sweep)
+        found[at] = known._replace(guesses=np.concatenate((known.guesses, fresh)))
     return found
 
 
@@ -220,6 +218,6 @@ def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:
     if found is None:
         return NO_POSES
     rough, unlikely, _ = found
-    worth = explains(rough) - unlikely
+    worth = explains(rough) + stands_out(maps, rough.poses, controls, search.intrinsics) - unlikely
     best = different(rough.poses, np.argsort(-worth, kind="stable"))[: const.FRESH]
     return np.asarray(rough.poses[best])

@@ -82,12 +82,15 @@ def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
     away = away_by(looking, candidates.owners.tolist(), fine.poses)
     evidence, shown = _evidence(looking, found, fine, candidates)
     unlikely = 0.5 * squared(away, information[candidates.owners])
+    # Of what is seen where it cannot rest, nobody knows where it is; where much of it is in sight, the image tells.
+    hangs = np.array([item["hangs"] > 0 for item in objects]) & (found.shown > const.LEAST_IN_SIGHT)
+    unlikely[hangs[candidates.owners]] = 0.0
     worth = evidence - np.minimum(unlikely, const.UNLIKELIEST * shown)
     # What is farther away than that is as one of which nothing is known: `missing` decides.
     worth[candidates.settled & (unlikely > const.LEAST_NATS)] = -np.inf
     eligible = (fine.scores >= const.FOUND_SCORE) & (shown >= const.LEAST_FOUND)
     tracked = np.array([item["status"] == TRACKED for item in objects])
-    return _chosen(found, candidates, fine, worth, eligible, information, sought, tracked)
+    return _chosen(found, candidates, fine, worth, eligible, information, sought, tracked, hangs)
 
 
 def _candidates(looking: Looking, found: Found, sought: Sequence[int]) -> tuple[_Candidates, Task]:
@@ -150,6 +153,7 @@ def _chosen(
     information: Floats,
     sought: Sequence[int],
     tracked: Array,
+    hangs: Array,
 ) -> Found:
     """What is found, with the best candidates of each object besides."""
     after, nats = found.copied(), explains(fine)
@@ -161,8 +165,13 @@ def _chosen(
         after.sure[at] = worth[first] > max(second + const.CLEARLY, 0.0)
         rivals = [number for number in ranked[: const.GUESSES + 1] if worth[number] > 0.0]
         kept = own[candidates.expected[own]][0]
-        known = tracked[at] and worth[first] > worth[kept] + const.CLEARLY
-        if not candidates.expected[first] and eligible[first] and (known or (not tracked[at] and after.sure[at])):
+        # Aligned alone, it may turn out to be elsewhere than where all objects together have it.
+        stays = len(different(np.stack((found.poses[at], fine.poses[kept])), np.arange(2))) == 1
+        clearly = not stays or worth[first] > worth[kept] + const.CLEARLY
+        if hangs[at] or not stays:
+            clearly &= nats[first] > (nats[kept] if stays else found.nats[at]) + const.CLEARLY
+        known = clearly if tracked[at] else after.sure[at]
+        if known and eligible[first] and not (first == kept and stays):
             after.put(at, fine.poses[first], inverse(information[at] + fine.blocks[first, 6:, 6:]))
             after.scores[at], after.gains[at] = fine.scores[first], fine.gains[first]
             after.shown[at], after.nats[at] = fine.shown[first], nats[first]

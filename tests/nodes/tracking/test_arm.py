@@ -225,3 +225,14 @@ def test_bad_objects() -> None:
         ArmNode([{"id": 1, "obj_id": 1, "pose": pose}, {"id": 1, "obj_id": 1, "pose": pose}])
     with pytest.raises(ValueError, match="object 4: pose"):
         ArmNode([{"id": 4, "obj_id": 1, "pose": np.eye(3)}])
+
+
+@pytest.mark.parametrize(("hangs", "probation", "after"), [(9, 5, "tracked"), (10, 5, "lost"), (10, 0, "tracked")])
+def test_what_was_found_just_now_and_hangs_there_is_not_there(hangs: int, probation: int, after: str) -> None:
+    arm = node()
+    belief = after_first_epoch(arm)
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), belief)
+    (item,) = belief["objects"]
+    doubted = {**item, "hangs": hangs, "probation": probation}
+    seen = arm._searched(None, (doubted,), {}, (), INTRINSICS, np.zeros(4))  # type: ignore[arg-type]
+    assert seen[0]["status"] == after

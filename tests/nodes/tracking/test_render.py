@@ -98,7 +98,7 @@ def test_context_is_the_scene_as_the_camera_sees_it() -> None:
     camera = make_pose(exp_so3(np.array([0.3, -0.2, 0.1])), [0.1, 0.2, -0.4])
     pose = make_pose(np.eye(3), [0.05, 0.1, 0.2])
     body = {"id": 5, "obj_id": 2, "pose": pose, "velocity": np.zeros(6), "covariance": np.eye(6), "status": "tracked"}
-    body.update(support=np.zeros(3), stands=False, others=np.zeros((0, 4, 4)), kept=0)
+    body.update(support=np.zeros(3), stands=False, hangs=0, others=np.zeros((0, 4, 4)), kept=0)
     body["model"] = {"vertices": mesh.vertices, "faces": mesh.faces}
     belief = {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "frame": 3, "bodies": (body,), "sweeping": None}
     context = SegmentedDepth()
@@ -122,7 +122,7 @@ def test_context_is_the_scene_as_the_camera_sees_it() -> None:
 def lost_cube(number: int, side_m: float, turn: int) -> Any:
     mesh = box_mesh((side_m, side_m, side_m))
     body = {"id": number, "obj_id": number, "pose": np.eye(4), "velocity": np.zeros(6), "covariance": np.eye(6)}
-    body.update(status="lost", support=np.zeros(3), stands=False, guesses=NO_POSES, others=NO_POSES, kept=0)
+    body.update(status="lost", support=np.zeros(3), stands=False, hangs=0, guesses=NO_POSES, others=NO_POSES, kept=0)
     return {**body, "turn": turn, "model": {"vertices": mesh.vertices, "faces": mesh.faces}}
 
 

@@ -213,3 +213,34 @@ def test_arguments_are_not_changed_and_results_repeat_to_the_bit() -> None:
 def test_options_out_of_range_are_named(options: dict[str, float], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         node(at(), **options)
+
+
+def test_what_is_seen_where_it_cannot_rest_is_imagined_where_it_can() -> None:
+    spatial, asked = node(at(z=0.10), table=True), []
+    belief = spatial.initial_belief()
+    for epoch in range(60):
+        belief = spatial.observe((sighting(at(z=0.10)), CAMERA), belief, Tick(epoch=epoch + 1, time_s=epoch / 30))
+        belief = spatial.predict((), (), belief)
+        (body,) = belief["bodies"]
+        assert (body["stands"], body["hangs"]) == (False, epoch + 1)
+        if len(body["others"]):
+            asked.append(body["hangs"])
+            assert body["kept"] == 0
+            np.testing.assert_allclose(body["others"][:, 2, 3], SIDE_M / 2, atol=1e-9)
+            np.testing.assert_allclose(body["others"][:, :2, 3], 0.0, atol=1e-9)  # the camera looks straight down
+    assert asked == [3, 6, 9, 12, 15, 24, 48]
+    seen = (sighting(at()), CAMERA)
+    body = spatial.predict((), (), spatial.observe(seen, belief, Tick(epoch=61, time_s=2.0)))["bodies"][0]
+    body = spatial.predict((), (), spatial.observe(seen, {**belief, "bodies": (body,)}, Tick(epoch=62, time_s=2.1)))
+    assert body["bodies"][0]["hangs"] == 0
+
+
+@pytest.mark.parametrize(("status", "table"), [("expected", True), ("tracked", False)])
+def test_what_is_not_seen_or_needs_no_table_does_not_hang(status: str, table: bool) -> None:
+    spatial = node(at(z=0.10), table=table)
+    belief = spatial.initial_belief()
+    for epoch in range(5):
+        seen = (sighting(at(z=0.10), status=status), CAMERA)
+        belief = spatial.predict((), (), spatial.observe(seen, belief, Tick(epoch=epoch + 1, time_s=epoch / 30)))
+    (body,) = belief["bodies"]
+    assert (body["hangs"], len(body["others"])) == (0, 0)

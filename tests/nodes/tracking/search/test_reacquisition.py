@@ -70,3 +70,24 @@ def test_edges_that_are_another_objects_speak_for_nothing() -> None:
     estimate = looked_for(twin, there, [SECOND], 2)
     assert pose_error(estimate.pose, SECOND.pose)[0] > 0.005
     assert len(estimate.guesses) == 0
+
+
+@pytest.mark.parametrize(("hangs", "nearer", "turn"), [(0, 0.93, 0.1), (4, 0.93, 0.1), (4, 0.9, 0.2)])
+def test_what_is_tracked_where_the_image_does_not_have_it_is_found_among_others(
+    hangs: int, nearer: float, turn: float
+) -> None:
+    off = make_pose(SECOND.pose[:3, :3], nearer * SECOND.pose[:3, 3]) @ exp_se3(
+        np.array([0.0, 0.0, 0.0, turn, 0.0, 0.0])
+    )
+    sure = np.diag([0.001**2] * 3 + [0.01**2] * 3)
+    item = {
+        **expected(SECOND, off),
+        "covariance": sure,
+        "hangs": hangs,
+        "others": (imagined(SECOND, SECOND.pose @ NEAR),),
+    }
+    image = smoothed(photograph([SECOND], 2.0, np.random.default_rng(4)))
+    found = associate(image, [item], None, INTRINSICS, OPTIONS)
+    assert found is not None
+    assert found.estimates[0].elsewhere
+    assert pose_error(found.estimates[0].pose, SECOND.pose)[0] < 0.002
