@@ -259,7 +259,9 @@ class ArmNode(Node):
         gone = _is_vague(item) or item["status"] == schema.LOST
         needed = self._found_score if gone else self._kept_score
         enough = const.LEAST_FOUND if gone else const.LEAST_SHOWN
-        if estimate.shown < enough or estimate.score < needed or (gone and not estimate.sure):
+        # With less than no nats the image is explained better by clutter than by the object.
+        doubtful = estimate.nats < 0.0 or (gone and not estimate.sure)
+        if estimate.shown < enough or estimate.score < needed or doubtful:
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
             searched = estimate.elsewhere and not item["others"]
             guess = estimate.pose if searched and estimate.score > self._kept_score else expected
