@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hierax.nodes.benchmarks.tracking import CONTEXT, Scene, Tell, Tracked, track
+from hierax.nodes.benchmarks.tracking import CONTEXT, SEARCH, Scene, Tell, Tracked, track
 from hierax.nodes.tracking.evaluation.scoring import RIGHT, ObjectErrors, frames_until, is_astray
 
 FRAME = 30  # at which poses are judged
@@ -34,7 +34,7 @@ def bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path,
     times: dict[str, list[float]] = {}
     for scene in scenes:
         told(f"{scene.name}, seed {scene.seed}: looking for its objects")
-        tracked = track(scene, CONTEXT, ["start=search", *settings], folder)
+        tracked = track(scene, CONTEXT, [SEARCH, *settings], folder)
         errors.setdefault(scene.name, []).extend(tracked.errors)
         times.setdefault(scene.name, []).append(_object_ms(tracked))
     return [_starts(name, every, float(np.median(times[name]))) for name, every in errors.items()]

@@ -37,6 +37,7 @@ WAYS = {
     "with all": (),
 }
 CONTEXT, OWN = "with all", "own model"
+SEARCH = "start=search"
 STAGES = ("world", "arm", "spatial")  # nodes whose time is told; each with the edge functions that run in it
 SPEED_KIND = "scattered"
 SPEED_OBJECTS = (1, 5)
@@ -221,7 +222,7 @@ def track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Trac
     """Track a scene in one of the `WAYS`; arguments as for `bench_tracking`."""
     poses, beliefs = (folder / f"{_stem(scene, way)}.{kind}" for kind in ("poses.csv", "beliefs.npz"))
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
-    truth = read_truth(scene.truth)
+    truth = read_truth(scene.truth, posed=SEARCH not in settings)
     stage_ms = _stages_ms(_telling(read_deployment(DEPLOYMENT, changes), beliefs))
     judge(beliefs, truth)
     return Tracked(object_errors(read_results(poses), truth, scene.name == IMPRECISE), stage_ms)

@@ -203,5 +203,5 @@ def _models(
         return read_objects(Path(objects)).read_models(tagged)
     if scene is not None:
         folder = BopScene(scene)
-        return [folder.model(item["obj_id"]) for item in first]
+        return [folder.model(item["obj_id"], item["pose"] is not None) for item in first]
     return [(box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3), NONE) for item in first]  # to be told by first poses

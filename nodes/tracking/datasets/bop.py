@@ -96,9 +96,9 @@ class BopScene:
             raise DataError(f"{path}: frame {first}: {len(entries)} objects; expected at most {MAX_OBJECTS}")
         return tuple(_scene_object(path, first, at, entry, poses) for at, entry in enumerate(entries))
 
-    def model(self, obj_id: int) -> tuple[Mesh, Symmetry]:
+    def model(self, obj_id: int, posed: bool = True) -> tuple[Mesh, Symmetry]:
         """A model, see `read_model`."""
-        return read_model(self.models, obj_id)
+        return read_model(self.models, obj_id, posed)
 
     @property
     def models(self) -> Path:
@@ -133,8 +133,9 @@ def scene_number(folder: str | Path | None) -> int:
     return int(name) if name.isdecimal() else 0
 
 
-def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
-    """The mesh of a model, in metres, and its symmetry: as ``models_info.json`` has it, else as the mesh shows it.
+def read_model(folder: Path, obj_id: int, posed: bool = True) -> tuple[Mesh, Symmetry]:
+    """The mesh of a model, in metres, and its symmetry: as ``models_info.json`` has it, else as the mesh shows it; see
+    `hierax.nodes.tracking.datasets.bop_json.read_symmetry`.
     Raises DataError: the model or ``models_info.json`` is missing or damaged."""
     info = folder / "models_info.json"
     entry = bop_json.read_json(info).get(str(obj_id))
@@ -142,7 +143,7 @@ def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
         raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
     names = [folder / f"obj_{obj_id:06d}{suffix}" for suffix in SUFFIXES]
     mesh = read_mesh(next((name for name in names if name.exists()), names[0]), BOP_UNIT_M)
-    return mesh, bop_json.read_symmetry(f"{info}: {obj_id}", entry) or found_symmetry(mesh)
+    return mesh, bop_json.read_symmetry(f"{info}: {obj_id}", entry, posed) or found_symmetry(mesh)
 
 
 def check_no_results(path: Path) -> None:

@@ -58,16 +58,19 @@ def pose_entry(pose: Floats, rotation_key: str = "cam_R_m2c", translation_key: s
     return {rotation_key: pose[:3, :3].ravel().tolist(), translation_key: (pose[:3, 3] / BOP_UNIT_M).tolist()}
 
 
-def read_symmetry(where: str, entry: Any) -> Symmetry | None:
+def read_symmetry(where: str, entry: Any, posed: bool = True) -> Symmetry | None:
     """What an entry of ``models_info.json`` says of symmetry; None where it says nothing, and none where its lists of
-    ``symmetries_discrete`` and ``symmetries_continuous`` are empty. Raises DataError: they are no lists of at most
-    `MAX_SYMMETRIES` rigid motions, row by row, or of axes."""
+    ``symmetries_discrete`` and ``symmetries_continuous`` are empty. Of an object whose first pose nobody tells (not
+    `posed`) empty lists say nothing: of the poses that look alike there is none to be kept, and models have no paint.
+    Raises DataError: they are no lists of at most `MAX_SYMMETRIES` rigid motions, row by row, or of axes."""
     if not _SYMMETRIES & entry.keys():
         return None
     lists = {key: entry.get(key, []) for key in sorted(_SYMMETRIES)}
     for key, values in lists.items():
         if not isinstance(values, list) or len(values) > MAX_SYMMETRIES:
             raise DataError(f"{where}: {key}: expected a list of at most {MAX_SYMMETRIES}")
+    if not posed and not any(lists.values()):
+        return None
     turns, axes = [], []
     for values in lists["symmetries_discrete"]:
         rows = read_numbers(where, {"symmetries_discrete": values}, "symmetries_discrete", 16).reshape(4, 4)

@@ -56,7 +56,9 @@ class ObjectsFile(NamedTuple):
         for at, (model, unit_m, entry) in enumerate(self.models):
             mesh, where = read_mesh(model, unit_m), f"{self.path}: objects[{at}]"
             self._check_seen(where, mesh, self.objects[at]["pose"], tagged)
-            found.append((mesh, read_symmetry(where, entry) or found_symmetry(mesh)))
+            found.append(
+                (mesh, read_symmetry(where, entry, self.objects[at]["pose"] is not None) or found_symmetry(mesh))
+            )
         return found
 
     def _check_seen(self, where: str, mesh: Mesh, pose: Floats | None, tagged: bool) -> None:

@@ -32,9 +32,10 @@ class TruePose(NamedTuple):
     likeness: Likeness | None = None  # None where there are no models
 
 
-def read_truth(folder: Path) -> dict[int, list[TruePose]]:
+def read_truth(folder: Path, posed: bool = True) -> dict[int, list[TruePose]]:
     """By frame, in order, all of a folder with ``scene_gt.json`` and, where visible shares are known,
-    ``scene_gt_info.json``; models are looked for where a scene in the BOP format has them. Raises DataError: a file is
+    ``scene_gt_info.json``; models are looked for where a scene in the BOP format has them; `posed`: whether first
+    poses are told, see `hierax.nodes.tracking.datasets.bop_json.read_symmetry`. Raises DataError: a file is
     missing or damaged, or an object stands twice in a frame."""
     path = folder / POSES
     entries = read_json(path)
@@ -49,12 +50,12 @@ def read_truth(folder: Path) -> dict[int, list[TruePose]]:
     if not (models / "models_info.json").is_file():
         return frames
     numbers = {pose.obj_id for poses in frames.values() for pose in poses}
-    known = {obj_id: _likeness(models, obj_id) for obj_id in sorted(numbers)}
+    known = {obj_id: _likeness(models, obj_id, posed) for obj_id in sorted(numbers)}
     return {at: [pose._replace(likeness=known[pose.obj_id]) for pose in poses] for at, poses in frames.items()}
 
 
-def _likeness(models: Path, obj_id: int) -> Likeness:
-    mesh, symmetry = read_model(models, obj_id)
+def _likeness(models: Path, obj_id: int, posed: bool) -> Likeness:
+    mesh, symmetry = read_model(models, obj_id, posed)
     return Likeness(symmetry, support_points(mesh.vertices[np.unique(mesh.faces)]))
 
 

@@ -355,11 +355,13 @@ def test_a_model_says_its_symmetries_or_its_mesh_does(scene: Path) -> None:
     assert counts() == (24, 0)  # a cube, of which nothing is said
     edit(info, "5", "symmetries_discrete", value=[])
     assert counts() == (1, 0)
+    assert len(BopScene(scene).model(5, posed=False)[1]["turns"]) == 24  # of poses that look alike none is to be kept
     flip = [-1, 0, 0, 10, 0, -1, 0, 20, 0, 0, 1, 0, 0, 0, 0, 1]
     edit(info, "5", "symmetries_discrete", value=[flip])
     assert BopScene(scene).model(5)[1]["turns"][1] == pytest.approx(
         np.array([[-1, 0, 0, 0.01], [0, -1, 0, 0.02], [0, 0, 1, 0], [0, 0, 0, 1]])
     )
+    assert len(BopScene(scene).model(5, posed=False)[1]["turns"]) == 2
     edit(info, "5", "symmetries_continuous", value=[{"axis": [0, 0, 2], "offset": [10, 0, 0]}])
     assert counts() == (2, 1)
     assert BopScene(scene).model(5)[1]["free"].tolist() == [[0.0, -0.01, 0.0, 0.0, 0.0, 1.0]]

@@ -50,6 +50,8 @@ def test_it_tells_models_first_poses_and_the_camera(tmp_path: Path) -> None:
     assert len(symmetry["turns"]) == 4  # as the mesh shows
     exact = read_objects(written(tmp_path, {"objects": [OBJECT | {"symmetries_discrete": []}]}))
     assert len(exact.read_models()[0][1]["turns"]) == 1
+    sought = read_objects(written(tmp_path, {"objects": [looked_for | {"symmetries_discrete": []}]}))
+    assert len(sought.read_models()[0][1]["turns"]) == 4
 
 
 def test_nodes_begin_with_it(tmp_path: Path) -> None:
