@@ -30,7 +30,7 @@ def picture(camera: np.ndarray, there: bool, seed: int) -> dict[str, Any]:
 
 def imagined(camera: np.ndarray, pose: np.ndarray) -> tuple[Any, ...]:
     body = {"id": 3, "obj_id": 1, "pose": pose, "covariance": np.eye(6) * 1e-4, "status": "tracked"}
-    body.update(support=np.zeros(3), stands=False, others=np.zeros((0, 4, 4)), kept=0)
+    body.update(support=np.zeros(3), stands=False, hangs=0, others=np.zeros((0, 4, 4)), kept=0)
     body["model"] = {"vertices": MESH.vertices, "faces": MESH.faces}
     return SegmentedDepth()(
         {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "bodies": (body,), "sweeping": None}
