@@ -13,16 +13,7 @@ from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.imagery.alternatives import Footing, elsewhere, footing_of, resting, set_down, tops_behind
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
-from hierax.nodes.tracking.math.geometry import (
-    NO_POSES,
-    Floats,
-    exp_se3,
-    exp_so3,
-    invert,
-    log_se3,
-    log_so3,
-    make_pose,
-)
+from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
 from hierax.nodes.tracking.render import is_missing
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things

@@ -15,12 +15,12 @@ FIRST, EVERY = 8, 16  # the first frame in which one is knocked, and after how m
 _SPEEDS_M_S = (0.4, 1.2)
 # How fast it is turned besides, for the speed of its middle over half of its height: 1 has its foot stand still.
 _TURNING = (0.2, 1.0)
-_FRICTION = 0.7
+_MASS_KG = 0.1
 
 
 def knocked(things: Sequence[Thing], rng: np.random.Generator, frames: int) -> Floats:
     """world_from_object of things (frames, n, 4, 4), which at first stand where they are."""
-    solids = [Solid(np.asarray(thing.shape.mesh.vertices, dtype=np.float64), 0.1, _FRICTION) for thing in things]
+    solids = [Solid(thing.shape.mesh.vertices, _MASS_KG) for thing in things]
     motions = [Motion(thing.pose, np.zeros(6)) for thing in things]
     simulator, poses = Simulator(), []
     order = rng.permutation(len(things))

@@ -83,9 +83,10 @@ def _is_asked(item: TrackedObject, score: float, given: float | None) -> bool:
     looks = item["slots"]
     if item["others"] or item["status"] == LOST:
         return False
-    if looks["tolerance"] is None or item["hangs"]:
-        return looks["tolerance"] is None
-    return given is None and looks["tolerance"] == 0.0 and score < const.DOING_WELL and looks["judged"] == 0
+    if looks["tolerance"] is None:
+        return True
+    doubted = looks["tolerance"] == 0.0 and score < const.DOING_WELL and not item["hangs"]
+    return given is None and doubted and looks["judged"] == 0
 
 
 def _aligned(task: Task, loose: Sequence[tuple[int, float]], start: Start) -> Aligned | None:

@@ -24,7 +24,7 @@ from hierax.nodes.tracking.model.controls import gathered
 from hierax.nodes.tracking.model.symmetry import alike
 from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
 from hierax.nodes.tracking.search.multistart import FINE, ROUGH, held, squared
-from hierax.nodes.tracking.search.reacquisition import different
+from hierax.nodes.tracking.search.reacquisition import different, is_near
 from hierax.nodes.tracking.search.sweep import Maps, maps_of, stands_out, swept
 from hierax.nodes.tracking.search.together import Judged, Together, carriers_of, conflicts_of, is_in, look_alike
 
@@ -186,9 +186,10 @@ def _times_swept(item: TrackedObject) -> int:
 
 def _is_again(pose: Floats, item: TrackedObject) -> bool:
     """Whether the image before had a missing object there, too: at the first of its guesses."""
-    before = [other["pose"] for other in item["others"][:1] if item["probation"]]
-    here = [alike(item["symmetry"], pose[None], each)[0] if "symmetry" in item else pose for each in before]
-    return bool(before) and len(different(np.stack(before + here), np.arange(2))) == 1
+    if not item["probation"] or not item["others"]:
+        return False
+    before = item["others"][0]["pose"]
+    return is_near(before, alike(item["symmetry"], pose[None], before)[0] if "symmetry" in item else pose)
 
 
 def _placed(item: TrackedObject) -> tuple[Floats, Floats] | None:

@@ -166,7 +166,7 @@ def _chosen(
         rivals = [number for number in ranked[: const.GUESSES + 1] if worth[number] > 0.0]
         kept = own[candidates.expected[own]][0]
         # Aligned alone, it may turn out to be elsewhere than where all objects together have it.
-        stays = len(different(np.stack((found.poses[at], fine.poses[kept])), np.arange(2))) == 1
+        stays = is_near(found.poses[at], fine.poses[kept])
         clearly = not stays or worth[first] > worth[kept] + const.CLEARLY
         if hangs[at] or not stays:
             clearly &= nats[first] > (nats[kept] if stays else found.nats[at]) + const.CLEARLY
@@ -191,3 +191,8 @@ def different(poses: Floats, ranked: Indices) -> list[int]:
                 continue
         chosen.append(int(number))
     return chosen
+
+
+def is_near(pose: Floats, other: Floats) -> bool:
+    """Whether two poses are not apart."""
+    return len(different(np.stack((pose, other)), np.arange(2))) == 1
