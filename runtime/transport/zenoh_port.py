@@ -64,6 +64,7 @@ class ZenohPort(Port):
         beside: Neighbours | None = None,
     ) -> None:
         self._session = session  # an open session
+        self._watching = session  # whose signs of life count
         self._beside = beside
         self._declaring: AbstractContextManager[Any] = nullcontext() if beside is None else beside.declaring
         self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
@@ -101,11 +102,15 @@ class ZenohPort(Port):
         self._inbox.move(self._subscriber)
         self._before = self._signs  # a token that nobody refers to undeclares itself
         token = liveliness.declare_token(keys.alive(self._name, self._process))
-        self._signs = (token, liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True))
+        self._watching = session
+        on_alive = partial(self._on_alive, session)
+        self._signs = (token, liveliness.declare_subscriber(keys.alive("*"), on_alive, history=True))
         self._publishers = {lane: self._publisher(session, *lane) for lane in self._publishers}
         self._session = session
         for peer in {peer for link in self._links.values() for peer in link.rendezvous.handshakes}:
             self._lost(peer)
+        if self._links:
+            self.absent.waits(self._process)
         self.greet()
 
     @property
@@ -236,20 +241,22 @@ class ZenohPort(Port):
         edge, name = self._keys.edge, self._name
         return {edge(kind, peer, name): (peer, kind) for peer, kind in rendezvous.lanes_in}
 
-    def _on_alive(self, sample: zenoh.Sample) -> None:
+    def _on_alive(self, session: zenoh.Session, sample: zenoh.Sample) -> None:
         """Greet a neighbour as soon as its process is there; what is lost is said again by `greet`.
 
-        One that is gone may be back: its link broke, and what was under way is lost."""
+        One that is gone may be back: its link broke, and what was under way is lost. A session that it has left tells
+        of what ends with it; and signs of life of nodes in this process say nothing of links to others."""
         found = living(str(sample.key_expr))
-        if found is None:
+        if found is None or session is not self._watching:
             return
         peer, process = found
+        if process == self._process or (self._beside is not None and process in self._beside):
+            return
         if sample.kind != zenoh.SampleKind.PUT:
             self.absent.gone(process)
             self._lost(peer, process)
             return
-        if process != self._process:  # its own sign of life, which may come late, says nothing of links to others
-            self.absent.came(process)
+        self.absent.came(process)
         with suppress(TransportError):  # closing: nobody is to be greeted any more
             self._greet(peer)
 
@@ -356,6 +363,7 @@ class ZenohPort(Port):
         if mended:
             for sent in (sent for sent in self._lends if sent[1] == peer):
                 self._forget(sent)
+            self.answered()
             self.mended(peer)
 
     def _tell_if_open(self, link: Link) -> None:

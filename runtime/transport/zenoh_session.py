@@ -45,12 +45,13 @@ ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 LOGGED = (
     "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off,zenoh_transport::unicast::establishment=off,"
     "zenoh_codec=off,zenoh::net::routing::hat::peer=off,zenoh_transport::unicast::universal::transport=off,"
-    "zenoh::bug=off"
+    "zenoh::bug=off,zenoh::net::routing::dispatcher::resource=off"
 )
 """What Zenoh prints, where RUST_LOG says nothing.
 
 While a session's first links come up, its threads may be overtaken by messages for keys that they are about to
-declare to it, and gossip may come over a link that has just gone: Zenoh drops that and calls it an error. It is no
+declare to it, gossip may come over a link that has just gone, and who dials again while the other side is yet closing
+the link before numbers its keys anew, over the numbers that it had: Zenoh drops that and calls it an error. It is no
 more than greetings, which are said again until they are answered, and news that come again by another link. A link
 that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut, or is
 just closing it; what cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a

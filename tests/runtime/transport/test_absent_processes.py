@@ -14,6 +14,7 @@ from support.sockets import break_link
 
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.rendezvous import FIRST_TRY, TRIES_S, AbsentProcesses
+from hierax.runtime.transport.shared_process import Neighbours
 from hierax.runtime.transport.zenoh_port import ZenohPort
 from hierax.runtime.transport.zenoh_session import open_session
 from hierax.schemas.keys import Keys
@@ -58,7 +59,7 @@ def test_a_port_that_sees_its_own_sign_of_life_late_waits_on() -> None:
         port.absent = AbsentProcesses(lambda: now)
         port.absent.waits("low~1")
         own = SimpleNamespace(key_expr=keys.alive("low", "low~1"), kind=zenoh.SampleKind.PUT)
-        port._on_alive(cast(zenoh.Sample, own))
+        port._on_alive(port._session, cast(zenoh.Sample, own))
         now = TRIES_S[FIRST_TRY]
         assert port.absent.due() == ["low~1"]
     finally:
@@ -78,31 +79,66 @@ def test_a_port_waits_for_its_neighbours_until_all_are_linked_and_hears_nobody_b
         now = TRIES_S[FIRST_TRY]
         assert ports["low"].absent.due() == ["low~1"]
         ports["up"].link(["low"], [], 0, {}, lambda _: None)
-        linked = threading.Event()
-
-        def answer(port: ZenohPort) -> None:  # also when it is done itself: its neighbour may not be
-            port.connect()
-            while not linked.is_set():
-                port.receive()
-
-        def greet() -> bool:
-            for port in ports.values():
-                port.greet()
-            return all(port.ready for port in ports.values())
-
-        threads = [threading.Thread(target=answer, args=[port], daemon=True) for port in ports.values()]
-        for thread in threads:
-            thread.start()
-        until(greet, "the handshakes")
-        linked.set()
-        for thread, port in zip(threads, ports.values(), strict=True):
-            until(lambda port=port, thread=thread: port.interrupt() or not thread.is_alive(), "the thread's end")  # type: ignore[misc]
+        _shake_hands(ports)
         now += 100.0
         assert not any(port.absent.due() for port in ports.values())
     finally:
         for port in ports.values():
             port.close()
         hub.close()
+
+
+def test_a_port_that_goes_on_in_another_session_misses_nobody_when_the_one_before_ends() -> None:
+    keys, now = Keys("absent", token_hex(4)), 0.0
+    hub = Hub(keys, None, None)
+    before, after, other = (open_session(connect=[hub.endpoint]) for _ in range(3))
+    beside = Neighbours()
+    mate, low = (ZenohPort(before, keys, name, f"{name}~1", beside=beside) for name in ("mate", "low"))
+    ports = {"low": low, "up": ZenohPort(other, keys, "up", "up~1")}
+    try:
+        for port in ports.values():
+            port.absent = AbsentProcesses(lambda: now)
+        ports["low"].link([], ["up"], 0, {}, lambda _: None)
+        ports["up"].link(["low"], [], 0, {}, lambda _: None)
+        _shake_hands(ports)
+        for port in (low, mate):
+            port.move(after)
+        now = TRIES_S[FIRST_TRY]
+        assert low.absent.due() == ["low~1"]  # in this session it may have no link to some of them
+        _shake_hands(ports)
+        left = before.zid()
+        before.close()
+        until(lambda: left not in after.info.peers_zid(), "the end of the session before")
+        now += 100.0
+        assert not low.absent.due()
+    finally:
+        for port in (mate, *ports.values()):
+            port.close()
+        after.close()
+        hub.close()
+
+
+def _shake_hands(ports: dict[str, ZenohPort]) -> None:
+    """Have neighbours greet one another until all are linked."""
+    linked = threading.Event()
+
+    def answer(port: ZenohPort) -> None:  # also when it is done itself: its neighbour may not be
+        port.connect()
+        while not linked.is_set():
+            port.receive()
+
+    def greet() -> bool:
+        for port in ports.values():
+            port.greet()
+        return all(port.ready for port in ports.values())
+
+    threads = [threading.Thread(target=answer, args=[port], daemon=True) for port in ports.values()]
+    for thread in threads:
+        thread.start()
+    until(greet, "the handshakes")
+    linked.set()
+    for thread, port in zip(threads, ports.values(), strict=True):
+        until(lambda port=port, thread=thread: port.interrupt() or not thread.is_alive(), "the thread's end")  # type: ignore[misc]
 
 
 def test_a_link_that_breaks_alone_is_made_again_and_both_ends_are_told() -> None:
