@@ -241,7 +241,8 @@ class ArmNode(Node):
             for at, item in enumerate(objects)
             if _is_missing(item) or (item["status"] == schema.EXPECTED and (item["id"] in swept or guessed[item["id"]]))
         }
-        objects = tuple({**unseen(item), "probation": 0} if _is_refuted(item) else item for item in objects)
+        carried = any(_is_missing(item) for item in objects)  # by what is not found yet, maybe
+        objects = tuple({**unseen(item), "probation": 0} if _is_refuted(item, carried) else item for item in objects)
         if not missing:
             return objects
         found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), level)
@@ -357,12 +358,17 @@ def _is_missing(item: schema.TrackedObject) -> bool:
     return item["status"] == schema.LOST and not len(item["controls"]["points"])
 
 
-def _is_refuted(item: schema.TrackedObject) -> bool:
+def _is_refuted(item: schema.TrackedObject, carried: bool) -> bool:
     """Whether images are explained better without an object that was found just now, or have it where it cannot rest:
     it was found where it can."""
     doubted = item["status"] == schema.TRACKED or item["misses"] >= const.CONFIRMED
     seen = float(item["controls"]["visible"].sum()) >= const.LEAST_SHOWN
-    return doubted and seen and item["probation"] > 0 and (item["nats"] < 0.0 or item["hangs"] > 3 * const.CONFIRMED)
+    return (
+        doubted
+        and seen
+        and item["probation"] > 0
+        and (item["nats"] < 0.0 or (item["hangs"] > 3 * const.CONFIRMED and not carried))
+    )
 
 
 def _shapeless(item: schema.TrackedObject) -> schema.TrackedObject:

@@ -15,7 +15,7 @@ from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
 from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, surrounding
 from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
-from hierax.nodes.tracking.imagery.proposals import Proposer, places_seen, top_of
+from hierax.nodes.tracking.imagery.proposals import Proposer, bottom_of, places_at, places_seen, top_of
 from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, transform
 from hierax.nodes.tracking.model.controls import Controls, gathered
@@ -147,14 +147,17 @@ class SegmentedDepth:
                     proposer = self._proposers[body["id"]] = Proposer(renderer)
                 # One that nobody knows may carry it: in turns with the table, heights are tried that others reach.
                 heights = _heights(belief, body) if body["turn"] % 2 == 0 < body["turn"] else []
-                tops = [] if heights else _tops(belief, body)
-                places = places_seen(
-                    camera, intrinsics, size, heights or [0.0], tops, len(proposer.resting), body["turn"]
-                )
-                middle = places[:, :3, 3].mean(axis=0) * [1.0, 1.0, 0.0] if len(places) else None
-                templates = () if middle is None else proposer.templates(camera, middle, intrinsics)
+                turn, count = body["turn"], len(proposer.resting)
                 rough_m = const.ROUGH_HEIGHT * heights[0] if heights else 0.0
-                found.append({"id": body["id"], "places": places, "templates": templates, "rough_m": rough_m})
+                faces = [*_tops(belief, body), *_under(belief, proposer)]
+                for places, off_m in (
+                    (places_seen(camera, intrinsics, size, heights or [0.0], count, turn), rough_m),
+                    (places_at(camera, intrinsics, size, faces, turn), 0.0),
+                ):
+                    if len(places):
+                        middle = places[:, :3, 3].mean(axis=0) * [1.0, 1.0, 0.0]
+                        templates = proposer.templates(camera, middle, intrinsics)
+                        found.append({"id": body["id"], "places": places, "templates": templates, "rough_m": off_m})
         return tuple(found)
 
     def _controls(self, scene: _Scene, missing: Collection[int]) -> list[ControlPoints]:
@@ -221,6 +224,15 @@ def _tops(belief: SpatialBelief, body: Body) -> list[Floats]:
     missing = [other for other in belief["bodies"] if other is not body and is_missing(other, belief)]
     sides = {round(float(side), 3) for other in missing for side in np.ptp(other["model"]["vertices"], axis=0)}
     return tops + [top + np.array([0.0, 0.0, side]) for top in tops for side in sorted(sides)]
+
+
+def _under(belief: SpatialBelief, proposer: Proposer) -> list[Floats]:
+    """Where a missing body may stand below what is seen where nothing known carries it: of each such body its lower
+    face, (k, 3) corners in the world's frame, by the missing one's heights lower."""
+    hanging = [other for other in belief["bodies"] if other["hangs"] and other["status"] == TRACKED]
+    lower = [bottom_of(transform(other["pose"], other["model"]["vertices"])) for other in hanging]
+    drops = [(face, height) for face in lower if len(face) for height in proposer.heights]
+    return [face - [0.0, 0.0, height] for face, height in drops if face[:, 2].min() > height - const.LIES_M]
 
 
 def _heights(belief: SpatialBelief, body: Body) -> list[float]:

@@ -26,6 +26,9 @@ class Proposer:
     def __init__(self, renderer: LayerRenderer) -> None:
         self.renderer = renderer
         self.resting = resting_poses(renderer.shape)
+        corners = outermost(renderer.shape.vertices)
+        tops = {round(float(transform(pose, corners)[:, 2].max()), 4) for pose in self.resting}
+        self.heights = sorted(tops)  # of the body where it rests, m
         self._templates: dict[tuple[float, ...], tuple[Alternative, ...]] = {}
 
     def templates(self, camera: Floats, middle: Floats, intrinsics: Array) -> tuple[Alternative, ...]:
@@ -136,23 +139,20 @@ def places_on(
 
 
 def places_seen(
-    camera: Floats,
-    intrinsics: Array,
-    size: Size,
-    heights: Sequence[float],
-    tops: Sequence[Floats],
-    templates: int,
-    turn: int = 0,
+    camera: Floats, intrinsics: Array, size: Size, heights: Sequence[float], templates: int, turn: int = 0
 ) -> Floats:
-    """Places (n, 4, 4) on planes of those heights all over the image, and on what stands there, as for `places_on`;
-    tops: of each body that carries things, (k, 3) the corners of its upper face, world's frame; templates: how many
-    poses are tried at each place."""
+    """Places (n, 4, 4) on planes of those heights all over the image, as for `places_on`; templates: how many poses are
+    tried at each place."""
     most = const.BUDGET // max(templates * len(heights), 1)
-    planes = [places_on(camera, intrinsics, size, height, None, most, turn) for height in heights]
-    above = [
-        places_on(camera, intrinsics, size, float(top[:, 2].max()), top[:, :2], const.BUDGET, turn) for top in tops
+    return np.concatenate([places_on(camera, intrinsics, size, height, None, most, turn) for height in heights])
+
+
+def places_at(camera: Floats, intrinsics: Array, size: Size, faces: Sequence[Floats], turn: int = 0) -> Floats:
+    """Places (n, 4, 4) on level faces, each the (k, 3) corners of one, world's frame, as for `places_on`."""
+    found = [
+        places_on(camera, intrinsics, size, float(face[:, 2].max()), face[:, :2], const.BUDGET, turn) for face in faces
     ]
-    return np.concatenate((*planes, *above))
+    return np.concatenate((np.zeros((0, 4, 4)), *found))
 
 
 def top_of(corners: Floats) -> Floats:
@@ -162,6 +162,11 @@ def top_of(corners: Floats) -> Floats:
     spread = np.ptp(top[:, :2], axis=0) if len(top) > 2 else np.zeros(2)
     found: Floats = top if spread.min() > 0.01 else top[:0]
     return found
+
+
+def bottom_of(corners: Floats) -> Floats:
+    """Likewise of those that lie as low as the lowest."""
+    return top_of(corners * [1.0, 1.0, -1.0]) * [1.0, 1.0, -1.0]
 
 
 def _centre(shape: Shape) -> Floats:

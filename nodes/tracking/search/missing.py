@@ -15,7 +15,7 @@ from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
-from hierax.nodes.tracking.estimation.likelihood import explains, painted
+from hierax.nodes.tracking.estimation.likelihood import explains, painted, shares
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
@@ -25,8 +25,16 @@ from hierax.nodes.tracking.model.symmetry import alike
 from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
 from hierax.nodes.tracking.search.multistart import FINE, ROUGH, held, squared
 from hierax.nodes.tracking.search.reacquisition import different, is_near
-from hierax.nodes.tracking.search.sweep import Maps, maps_of, stands_out, swept
-from hierax.nodes.tracking.search.together import Judged, Together, carriers_of, conflicts_of, is_in, look_alike
+from hierax.nodes.tracking.search.sweep import Maps, maps_of, stands_out, swept, uncovered
+from hierax.nodes.tracking.search.together import (
+    Judged,
+    Together,
+    carriers_of,
+    conflicts_of,
+    hidden_of,
+    is_in,
+    look_alike,
+)
 
 
 class Sighting(NamedTuple):
@@ -126,13 +134,14 @@ def _judged(
     if found is None:
         return None
     fine, unlikely, covariance = found
-    nats = explains(fine)
-    worth = nats + painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics) - unlikely
+    nats, told = explains(fine), shares(fine)
+    beside = painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics)
     boxes = np.stack([_box(each) for each in controls])
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
     owners = fine.stage.controls.owners
     edges = [lines[(owners == row) & fine.supported] for row in range(len(rows))]
-    return Judged(np.array([at for at, _ in rows]), fine, nats, worth, covariance, boxes, edges)
+    whose, worth = np.array([at for at, _ in rows]), nats + beside - unlikely
+    return Judged(whose, fine, nats, worth, covariance, boxes, edges, told.peaks + told.looks, beside)
 
 
 def _decided(
@@ -143,33 +152,28 @@ def _decided(
     placed = [_placed(item) for at, item in enumerate(objects) if item["status"] == TRACKED and at not in recent]
     staying = [each for each in placed if each is not None]
     free = [not any(is_in(fine.poses[row], judged.boxes[row], *each) for each in staying) for row in range(len(worth))]
-    possible = np.array(free) & (fine.scores >= const.LEARNED_SCORE) & (fine.shown >= const.LEAST_FOUND)
+    possible = np.array(free) & (fine.scores >= const.KEPT_SCORE) & (fine.shown >= const.LEAST_FOUND)
     ranked: dict[int, list[int]] = {}
     for at in missing:
         own = np.nonzero((judged.owners == at) & possible)[0]
         ranked[at] = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])[: const.OLD + 1]
-    first = sorted(missing, key=lambda at: -max(worth[ranked[at]], default=-np.inf))[: const.RIVALS]
+    together = _together(judged, ranked, recent, staying, level)
     least = np.where(fine.scores > const.SURE_SCORE, const.LEAST_NATS, const.SURE_NATS)
-    options = {at: np.nonzero(judged.owners == at)[0].tolist() for at in recent}
-    options |= {at: [row for row in ranked[at] if worth[row] > least[row]] for at in first}
-    rows = [row for own in options.values() for row in own]
-    carriers = carriers_of(judged, rows, staying, level)
-    together = Together(
-        options, np.maximum(worth, 1.0), conflicts_of(judged, rows), carriers, len(missing) + len(recent)
-    )
     best, chosen = together.best(())
     ready = all(_times_swept(objects[at]) >= const.SWEEPS_FIRST for at in missing)
-    found = {at: Sighting(NO_POSES) for at in recent if options[at] and at not in chosen and ready}
+    found = {at: Sighting(NO_POSES) for at in recent if together.options[at] and at not in chosen and ready}
     for at in missing:
         row = chosen.get(at)
+        gained = 0.0 if row is None else together.gained(row, chosen.values())
         sure = (
             row is not None
             and ready
-            and judged.nats[row] > const.LEAST_EDGES
+            and worth[row] + gained > least[row]
+            and judged.nats[row] + gained > const.LEAST_EDGES
             and fine.shown[row] > const.LEAST_IN_SIGHT
         )
         if row is not None and sure:
-            sure = best - together.best(look_alike(judged, row, options[at]))[0] > const.CLEAR_NATS
+            sure = best - together.best(look_alike(judged, row, together.options[at]))[0] > const.CLEAR_NATS
         kept = [other for other in ranked[at] if other != row or not sure][: const.OLD]
         guesses = fine.poses[kept] if kept else NO_POSES
         found[at] = Sighting(guesses)
@@ -177,6 +181,31 @@ def _decided(
             said = float(fine.scores[row]), float(judged.nats[row]), _is_again(fine.poses[row], objects[at])
             found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], *said)
     return found
+
+
+def _together(
+    judged: Judged,
+    ranked: Mapping[int, list[int]],
+    recent: Sequence[int],
+    staying: Sequence[tuple[Floats, Floats]],
+    level: Floats,
+) -> Together:
+    """What is chosen of: for each of the missing objects that images say most of its best rows, if others that hide
+    parts of it could make them likely; and those that were found just now."""
+    fine, worth = judged.fine, judged.worth
+    first = sorted(ranked, key=lambda at: -max(worth[ranked[at]], default=-np.inf))[: const.RIVALS]
+    options = {at: np.nonzero(judged.owners == at)[0].tolist() for at in recent}
+    options |= {at: [row for row in ranked[at] if fine.scores[row] >= const.LEARNED_SCORE] for at in first}
+    hidden = hidden_of(judged, [row for own in options.values() for row in own])
+
+    def most(row: int) -> float:
+        gains = [max((hidden.get((row, other), 0.0) for other in own), default=0.0) for own in options.values()]
+        return float(worth[row]) + sum(gain for gain in gains if gain > 0.0)
+
+    options |= {at: [row for row in options[at] if most(row) > const.LEAST_NATS] for at in first}
+    rows = [row for own in options.values() for row in own]
+    carriers, conflicts = carriers_of(judged, rows, staying, level), conflicts_of(judged, rows, level)
+    return Together(options, np.maximum(worth, 1.0), conflicts, carriers, len(ranked) + len(recent), hidden)
 
 
 def _times_swept(item: TrackedObject) -> int:
@@ -213,12 +242,13 @@ def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:
         return NO_POSES
     proposed = swept(maps, sweep, search.intrinsics)
     controls = [sweep["templates"][number]["controls"] for number in proposed.templates]
-    found = search.aligned(
-        controls, [looks] * len(controls), proposed.poses, ROUGH, const.ROUGH_POINTS, sweep["rough_m"]
-    )
+    seen = uncovered(maps, proposed.poses, controls, search.intrinsics)
+    found = search.aligned(seen, [looks] * len(seen), proposed.poses, ROUGH, const.ROUGH_POINTS, sweep["rough_m"])
     if found is None:
         return NO_POSES
     rough, unlikely, _ = found
     worth = explains(rough) + stands_out(maps, rough.poses, controls, search.intrinsics) - unlikely
-    best = different(rough.poses, np.argsort(-worth, kind="stable"))[: const.FRESH]
+    # By turns the best by all that speaks for them, and those that faces alone had before the others.
+    order = np.stack((np.argsort(-worth, kind="stable"), np.arange(len(worth))), axis=1).ravel()
+    best = different(rough.poses, order)[: const.FRESH]
     return np.asarray(rough.poses[best])

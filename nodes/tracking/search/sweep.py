@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.profiles import Image, Singles, grey_levels
-from hierax.nodes.tracking.math.batched import only
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert
+from hierax.nodes.tracking.math.batched import only, pixels_of
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, transform
 from hierax.nodes.tracking.model.controls import CREASE
 from hierax.nodes.tracking.schema import ControlPoints, Sweep
 
@@ -94,6 +94,21 @@ def stands_out(maps: Maps, poses: Floats, controls: Sequence[ControlPoints], int
     here = np.eye(4)[None]
     sides = [_sides(each, pose, here[0], intrinsics) for each, pose in zip(controls, poses, strict=True)]
     return const.ALIKE * np.array([_stands_out(maps.colours, here, side, intrinsics)[0] for side in sides])
+
+
+def uncovered(
+    maps: Maps, poses: Floats, controls: Sequence[ControlPoints], intrinsics: Array
+) -> Sequence[ControlPoints]:
+    """What would be seen where poses (n, 4, 4) put objects, each with its control points: of those that lie outside of
+    the image, or where something else is seen, nothing."""
+    free = maps.colours[-1]
+    last = np.array(free.shape[::-1]) - 1
+    found: list[ControlPoints] = []
+    for pose, each in zip(poses, controls, strict=True):
+        pixels = pixels_of(transform(pose, each["points"]), intrinsics)
+        columns, rows = np.clip(np.rint((pixels - 0.5) / const.SHRUNK), -1, last).astype(np.intp).T
+        found.append({**each, "visible": each["visible"] * free[rows, columns]})
+    return found
 
 
 class _Sides(NamedTuple):

@@ -21,6 +21,8 @@ class Judged(NamedTuple):
     covariance: Floats  # (n, 6, 6)
     boxes: Floats  # (n, 2, 3) low and high corner in the object's frame
     edges: list[Floats]  # of each, (k, 4) pixels and normals of those edges that the image shows
+    lines: Floats  # (k,) nats that each control point of `fine` says of its own
+    beside: Floats  # (n,) nats that what lies beside the edges says
 
 
 class Together(NamedTuple):
@@ -31,19 +33,28 @@ class Together(NamedTuple):
     conflicts: set[tuple[int, int]]  # rows that cannot both be
     carriers: Mapping[int, set[int]]  # of each row that nothing carries which is known: those that would
     bodies: int  # how many may carry others
+    hidden: Mapping[tuple[int, int], float]  # nats that a row gains where another one hides part of it
+
+    def gained(self, row: int, chosen: Collection[int]) -> float:
+        """Nats that a row gains as those that are chosen, too, hide parts of it."""
+        return sum(self.hidden.get((row, other), 0.0) for other in chosen)
 
     def best(self, without: Collection[int]) -> tuple[float, dict[int, int]]:
         """The most that one choice for each object, or none, is worth, and that choice, some rows left out."""
         partial: list[tuple[float, dict[int, int]]] = [(0.0, {})]
         for at, rows in self.options.items():
             partial += [
-                (value + float(self.worth[row]), {**chosen, at: row})
+                (value + float(self.worth[row]) + self._between(row, chosen.values()), {**chosen, at: row})
                 for value, chosen in partial
                 for row in rows
                 if row not in without and not any((row, other) in self.conflicts for other in chosen.values())
             ]
         carried = [(value - self._unlikely(chosen), chosen) for value, chosen in partial]
         return max(carried, key=lambda each: each[0])
+
+    def _between(self, row: int, chosen: Collection[int]) -> float:
+        """Nats that a row and those that are chosen gain by one another."""
+        return self.gained(row, chosen) + sum(self.gained(other, (row,)) for other in chosen)
 
     def _unlikely(self, chosen: Mapping[int, int]) -> float:
         """Nats: of what floats, one that is not placed may carry each."""
@@ -53,29 +64,73 @@ class Together(NamedTuple):
 
 
 def look_alike(judged: Judged, row: int, rows: Sequence[int]) -> list[int]:
-    """Those rows of an object that put it at the same place with the same outlines, about, whichever side is where."""
+    """Those rows of an object that show the same outlines in the same place, about, whichever side is where. How far
+    away it is is what outlines tell least of, and what the next images tell of what is found."""
     controls = judged.fine.stage.controls
+    away = float(judged.fine.poses[row][2, 3])
 
     def outlines(number: int) -> Floats:
-        return transform(judged.fine.poses[number], controls.points[controls.owners == number])
+        seen = transform(judged.fine.poses[number], controls.points[controls.owners == number])
+        return seen[:, :2] * (away / seen[:, 2:])
 
     own = outlines(row)
     apart = {other: np.linalg.norm(own[:, None] - outlines(other)[None], axis=-1) for other in rows}
     return [
-        other for other, away in apart.items() if max(away.min(axis=0).mean(), away.min(axis=1).mean()) < const.TWIN_M
+        other for other, each in apart.items() if max(each.min(axis=0).mean(), each.min(axis=1).mean()) < const.TWIN_M
     ]
 
 
-def conflicts_of(judged: Judged, rows: Sequence[int]) -> set[tuple[int, int]]:
-    """Rows of different objects of which one is in the other, or has its edges where the other has them."""
+def conflicts_of(judged: Judged, rows: Sequence[int], level: Floats) -> set[tuple[int, int]]:
+    """Rows of different objects of which one is in the other, or has its edges where the other has them: more than
+    where one stands on the other."""
     poses, boxes, edges = judged.fine.poses, judged.boxes, judged.edges
+    feet = {row: _below(poses[row], boxes[row], level) for row in rows}
+
+    def is_impossible(one: int, other: int) -> bool:
+        if is_in(poses[one], boxes[one], poses[other], boxes[other]):
+            return True
+        stacked = _holds(feet[one], poses[other], boxes[other]) or _holds(feet[other], poses[one], boxes[one])
+        return not stacked and _is_claimed(edges[one], edges[other])
+
     return {
         pair
         for one, other in permutations(rows, 2)
-        if judged.owners[one] != judged.owners[other]
-        and (is_in(poses[one], boxes[one], poses[other], boxes[other]) or _is_claimed(edges[one], edges[other]))
+        if judged.owners[one] != judged.owners[other] and is_impossible(one, other)
         for pair in ((one, other), (other, one))
     }
+
+
+def hidden_of(judged: Judged, rows: Sequence[int]) -> dict[tuple[int, int], float]:
+    """By a row and one of another object that hides part of it: what the hidden part says, taken back, nats."""
+    controls = judged.fine.stage.controls
+    seen = np.einsum("nij,nj->ni", judged.fine.poses[controls.owners][:, :3, :3], controls.points)
+    seen += judged.fine.poses[controls.owners][:, :3, 3]
+    count = len(judged.owners)
+    whole = np.maximum(np.bincount(controls.owners, controls.visible, count), 1e-9)
+    found: dict[tuple[int, int], float] = {}
+    for other in rows:
+        behind = _is_behind(seen, judged.fine.poses[other], judged.boxes[other])
+        said = np.bincount(controls.owners, behind * judged.lines, count)
+        share = np.bincount(controls.owners, behind * controls.visible, count) / whole
+        gain = -said - share * judged.beside
+        found |= {
+            (row, other): float(gain[row])
+            for row in rows
+            if judged.owners[row] != judged.owners[other] and share[row] > 0.0
+        }
+    return found
+
+
+def _is_behind(seen: Floats, pose: Floats, box: Floats) -> Array:
+    """(n,) whether a box hides points (n, 3), camera's frame: clearly nearer to the camera than they are."""
+    to_box = invert(pose)
+    eye, ends = to_box[:3, 3], transform(to_box, seen)
+    ways = ends - eye
+    ways = np.where(np.abs(ways) < 1e-9, 1e-9, ways)
+    sides = (box[:, None] - eye) / ways
+    enters, leaves = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
+    lengths = np.linalg.norm(ways, axis=1)
+    return np.asarray((enters < leaves) & (leaves > 0.0) & ((1.0 - enters) * lengths > const.LIES_M))
 
 
 def carriers_of(
@@ -84,13 +139,19 @@ def carriers_of(
     """Of each row that is neither on the table nor on what stays there, the other rows that would carry it."""
     carriers = {}
     for row in rows:
-        box = judged.boxes[row]
-        corners = transform(judged.fine.poses[row], box.mean(axis=0) + const.BOX_CORNERS * np.ptp(box, axis=0))
-        heights = corners @ level[:3] + level[3]
-        below = corners.mean(axis=0) - (0.5 * np.ptp(heights) + const.LIES_M) * level[:3]
-        if heights.min() > const.LIES_M and not any(_holds(below, *each) for each in staying):
+        below = _below(judged.fine.poses[row], judged.boxes[row], level)
+        lowest = float(below @ level[:3] + level[3]) + const.LIES_M
+        if lowest > const.LIES_M and not any(_holds(below, *each) for each in staying):
             carriers[row] = {other for other in rows if _holds(below, judged.fine.poses[other], judged.boxes[other])}
     return carriers
+
+
+def _below(pose: Floats, box: Floats, level: Floats) -> Floats:
+    """(3,) the point just below the middle of a body's foot."""
+    corners = transform(pose, box.mean(axis=0) + const.BOX_CORNERS * np.ptp(box, axis=0))
+    heights = corners @ level[:3] + level[3]
+    point: Floats = corners.mean(axis=0) - (0.5 * np.ptp(heights) + const.LIES_M) * level[:3]
+    return point
 
 
 def _holds(point: Floats, pose: Floats, box: Floats) -> bool:

@@ -227,12 +227,20 @@ def test_bad_objects() -> None:
         ArmNode([{"id": 4, "obj_id": 1, "pose": np.eye(3)}])
 
 
-@pytest.mark.parametrize(("hangs", "probation", "after"), [(9, 5, "tracked"), (10, 5, "lost"), (10, 0, "tracked")])
-def test_what_was_found_just_now_and_hangs_there_is_not_there(hangs: int, probation: int, after: str) -> None:
+@pytest.mark.parametrize(
+    ("hangs", "probation", "missing", "after"),
+    [(9, 5, False, "tracked"), (10, 5, False, "lost"), (10, 0, False, "tracked"), (10, 5, True, "tracked")],
+)
+def test_what_was_found_just_now_and_hangs_there_is_not_there_unless_a_missing_one_may_carry_it(
+    hangs: int, probation: int, missing: bool, after: str
+) -> None:
     arm = node()
     belief = after_first_epoch(arm)
     belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), belief)
     (item,) = belief["objects"]
     doubted = {**item, "hangs": hangs, "probation": probation}
-    seen = arm._searched(None, (doubted,), {}, (), INTRINSICS, np.zeros(4))  # type: ignore[arg-type]
+    other = {**item, "id": item["id"] + 1, "status": "lost", "controls": NO_CONTROLS}
+    objects = (doubted, other) if missing else (doubted,)
+    guessed = {other["id"]: ()}
+    seen = arm._searched(None, objects, guessed, (), INTRINSICS, np.zeros(4))  # type: ignore[arg-type]
     assert seen[0]["status"] == after

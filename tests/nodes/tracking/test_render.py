@@ -135,10 +135,23 @@ def test_after_long_a_missing_body_is_looked_for_on_another_one_that_is_missing_
     bodies = ({**below, **standing}, between, sought)
     seen = {"camera": looking_down(0.4, 0.75, 0.45, np.zeros(3)), "intrinsics": INTRINSICS, "size": SIZE, "frame": 3}
     (element,) = SegmentedDepth()({**seen, "bodies": bodies, "sweeping": (3,)})
-    (sweep,) = element["sweeps"]
-    assert np.unique(sweep["places"][:, 2, 3].round(6)).tolist() == heights
-    high = sweep["places"][sweep["places"][:, 2, 3] > 0.0]
-    assert np.abs(high[:, :2, 3]).max() <= 0.03 + 1e-9
+    everywhere, carried = element["sweeps"]
+    assert (everywhere["id"], carried["id"]) == (3, 3)
+    assert np.unique(everywhere["places"][:, 2, 3]).tolist() == [0.0]
+    assert np.unique(carried["places"][:, 2, 3].round(6)).tolist() == heights[1:]
+    assert np.abs(carried["places"][:, :2, 3]).max() <= 0.03 + 1e-9
+
+
+@pytest.mark.parametrize(("foot_m", "heights"), [(0.05, [0.01]), (0.04, [0.0]), (0.02, [])])
+def test_a_missing_body_is_looked_for_below_one_that_nothing_known_carries(foot_m: float, heights: list[float]) -> None:
+    hanging, sought = lost_cube(1, 0.06, 0), lost_cube(2, 0.04, 11)
+    seen_there = {"pose": make_pose(np.eye(3), [0.0, 0.0, foot_m + 0.03]), "status": "tracked", "hangs": 2}
+    bodies = ({**hanging, **seen_there}, sought)
+    seen = {"camera": looking_down(0.4, 0.75, 0.45, np.zeros(3)), "intrinsics": INTRINSICS, "size": SIZE, "frame": 3}
+    (element,) = SegmentedDepth()({**seen, "bodies": bodies, "sweeping": (2,)})
+    places = [sweep["places"] for sweep in element["sweeps"][1:]]
+    assert [each[0, 2, 3].round(6) for each in places] == heights
+    assert all(np.abs(each[:, :2, 3]).max() <= 0.03 + 1e-9 for each in places)
 
 
 def test_a_missing_body_is_also_looked_for_where_others_that_nobody_knows_would_carry_it() -> None:

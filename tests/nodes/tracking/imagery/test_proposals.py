@@ -9,6 +9,8 @@ from hierax.nodes.tracking.constants import YAWS
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.imagery.proposals import (
     Proposer,
+    bottom_of,
+    places_at,
     places_on,
     places_seen,
     resting_poses,
@@ -70,14 +72,21 @@ def test_places_are_what_the_camera_sees_of_a_plane() -> None:
     assert np.linalg.norm(other[:, None, :3, 3] - places[None, :, :3, 3], axis=-1).min() > 1e-4
 
 
-def test_the_budget_thins_places_out_and_tops_of_bodies_are_places() -> None:
-    many = places_seen(CAMERA, INTRINSICS, SIZE, [0.0], [], 1)
-    assert len(places_seen(CAMERA, INTRINSICS, SIZE, [0.0], [], 4000)) < len(many) / 3
-    top = top_of(box_mesh((0.06, 0.06, 0.04)).vertices + np.array([0.0, 0.0, 0.02]))
-    assert len(top) == 4
-    above = places_seen(CAMERA, INTRINSICS, SIZE, [0.0], [top], 1)
-    assert len(above) > len(many)
-    assert above[len(many) :, 2, 3] == pytest.approx(0.04)
+def test_the_budget_thins_places_out() -> None:
+    many = places_seen(CAMERA, INTRINSICS, SIZE, [0.0], 1)
+    assert len(places_seen(CAMERA, INTRINSICS, SIZE, [0.0], 4000)) < len(many) / 3
+    assert len(places_seen(CAMERA, INTRINSICS, SIZE, [0.0, 0.04], 1)) > 1.5 * len(many)
+
+
+def test_upper_and_lower_faces_of_bodies_are_places() -> None:
+    corners = box_mesh((0.06, 0.06, 0.04)).vertices + np.array([0.0, 0.0, 0.06])
+    for face, height in ((top_of(corners), 0.08), (bottom_of(corners), 0.04)):
+        assert len(face) == 4
+        found = places_at(CAMERA, INTRINSICS, SIZE, [face])
+        assert len(found) > 3
+        assert found[:, 2, 3] == pytest.approx(height)
+        assert np.abs(found[:, :2, 3]).max() <= 0.03
+    assert places_at(CAMERA, INTRINSICS, SIZE, []).shape == (0, 4, 4)
     assert not len(top_of(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])))
 
 

@@ -14,7 +14,7 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, 
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.schema import Sweep
-from hierax.nodes.tracking.search.sweep import Proposed, maps_of, stands_out, swept
+from hierax.nodes.tracking.search.sweep import Proposed, maps_of, stands_out, swept, uncovered
 
 SIZE = (320, 240)
 INTRINSICS = np.array([300.0, 300.0, 159.5, 119.5])
@@ -66,6 +66,23 @@ def test_a_box_is_proposed_whose_edges_are_weaker_than_those_around(seed: int) -
     controls = [sweep["templates"][number]["controls"] for number in found.templates[:1]]
     here, gone = (stands_out(each, found.poses[:1], controls, INTRINSICS)[0] for each in (maps, hidden))
     assert here > 2.0 > abs(gone)
+
+
+def test_what_lies_on_something_that_is_seen_or_outside_of_the_image_is_not_expected_to_be_seen() -> None:
+    mesh = box_mesh(list(SIDES_M))
+    maps, pose = maps_of(smoothed(picture(mesh, 0))), invert(CAMERA) @ POSE
+    template = sweep_of(mesh)["templates"][0]["controls"]
+    pixels = pixels_of(transform(pose, template["points"]), INTRINSICS)
+    left = pixels[:, 0] < np.median(pixels[:, 0])
+    corners = np.array([[0.0, 0.0], [np.median(pixels[:, 0]), 0.0], [np.median(pixels[:, 0]), 239.0], [0.0, 239.0]])
+    (alone,), (beside,) = (
+        uncovered(each, pose[None], [template], INTRINSICS) for each in (maps, maps.without([corners]))
+    )
+    assert np.array_equal(alone["visible"], template["visible"])
+    assert not beside["visible"][left].any()
+    assert beside["visible"][pixels[:, 0] > np.median(pixels[:, 0]) + 4.0].all()
+    beyond = make_pose(np.eye(3), np.array([0.4, 0.0, 0.0])) @ pose
+    assert not uncovered(maps, beyond[None], [template], INTRINSICS)[0]["visible"].any()
 
 
 def test_what_has_no_control_points_is_proposed_nowhere_and_stands_out_nowhere() -> None:
