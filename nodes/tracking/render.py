@@ -152,7 +152,7 @@ class SegmentedDepth:
                 faces = [*_tops(belief, body), *_under(belief, proposer)]
                 for places, off_m in (
                     (places_seen(camera, intrinsics, size, heights or [0.0], count, turn), rough_m),
-                    (places_at(camera, intrinsics, size, faces, turn), 0.0),
+                    (places_at(camera, intrinsics, size, faces, count, turn), 0.0),
                 ):
                     if len(places):
                         middle = places[:, :3, 3].mean(axis=0) * [1.0, 1.0, 0.0]

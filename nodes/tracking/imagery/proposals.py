@@ -147,12 +147,16 @@ def places_seen(
     return np.concatenate([places_on(camera, intrinsics, size, height, None, most, turn) for height in heights])
 
 
-def places_at(camera: Floats, intrinsics: Array, size: Size, faces: Sequence[Floats], turn: int = 0) -> Floats:
-    """Places (n, 4, 4) on level faces, each the (k, 3) corners of one, world's frame, as for `places_on`."""
+def places_at(
+    camera: Floats, intrinsics: Array, size: Size, faces: Sequence[Floats], templates: int, turn: int = 0
+) -> Floats:
+    """Places (n, 4, 4) on level faces, each the (k, 3) corners of one, world's frame, as for `places_seen`."""
     found = [
         places_on(camera, intrinsics, size, float(face[:, 2].max()), face[:, :2], const.BUDGET, turn) for face in faces
     ]
-    return np.concatenate((np.zeros((0, 4, 4)), *found))
+    every = np.concatenate((np.zeros((0, 4, 4)), *found))
+    thinned = max(1, -(-len(every) * templates // const.BUDGET))
+    return every[turn % thinned :: thinned]
 
 
 def top_of(corners: Floats) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.constants import YAWS
+from hierax.nodes.tracking.constants import BUDGET, YAWS
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.imagery.proposals import (
     Proposer,
@@ -82,11 +82,16 @@ def test_upper_and_lower_faces_of_bodies_are_places() -> None:
     corners = box_mesh((0.06, 0.06, 0.04)).vertices + np.array([0.0, 0.0, 0.06])
     for face, height in ((top_of(corners), 0.08), (bottom_of(corners), 0.04)):
         assert len(face) == 4
-        found = places_at(CAMERA, INTRINSICS, SIZE, [face])
+        found = places_at(CAMERA, INTRINSICS, SIZE, [face], 72)
         assert len(found) > 3
         assert found[:, 2, 3] == pytest.approx(height)
         assert np.abs(found[:, :2, 3]).max() <= 0.03
-    assert places_at(CAMERA, INTRINSICS, SIZE, []).shape == (0, 4, 4)
+    assert places_at(CAMERA, INTRINSICS, SIZE, [], 72).shape == (0, 4, 4)
+    faces, many = [top_of(corners)] * 60, 800
+    every = places_at(CAMERA, INTRINSICS, SIZE, faces, 1)
+    thin = [places_at(CAMERA, INTRINSICS, SIZE, faces, many, turn) for turn in (0, 1)]
+    assert all(0 < len(each) * many <= BUDGET + many < len(every) * many for each in thin)
+    assert not np.array_equal(thin[0][:1], thin[1][:1])
     assert not len(top_of(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])))
 
 
