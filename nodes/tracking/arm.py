@@ -147,11 +147,12 @@ class ArmNode(Node):
         found = self._associated(present, image, seen["intrinsics"], belief["together"], reports)
         corrected, shift = self._corrected(present, found), np.eye(4) if found is None else found.shift
         after = {item["id"]: item for item in corrected}
-        guessed = {item["id"]: tuple(other for other in item["others"] if other["kept"]) for item in objects}
-        objects = tuple(after.get(item["id"], item) for item in objects)
+        guessed = {item["id"]: _guessed(item, shift) for item in objects}
+        objects = tuple(after.get(item["id"]) or {**item, "others": guessed[item["id"]]} for item in objects)
+        camera = camera @ invert(shift)
+        sweeps = _moved(sweeps, shift)
         if sweeps is not None:
             objects = self._searched(image, objects, guessed, sweeps, seen["intrinsics"], camera[2])
-        camera = camera @ invert(shift)
         height, width = seen["image"].shape[:2]
         return {
             "camera": camera,
@@ -351,6 +352,11 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
 def _moved(sweeps: tuple[schema.Sweep, ...] | None, by: Floats) -> tuple[schema.Sweep, ...] | None:
     """Sweeps, seen from another frame."""
     return sweeps and tuple({**sweep, "places": by @ sweep["places"]} for sweep in sweeps)
+
+
+def _guessed(item: schema.TrackedObject, shift: Floats) -> tuple[schema.Alternative, ...]:
+    """Where an object was guessed to be, seen from where the camera turned out to be: shift @ pose."""
+    return tuple({**other, "pose": shift @ other["pose"]} for other in item["others"] if other["kept"])
 
 
 def _is_missing(item: schema.TrackedObject) -> bool:

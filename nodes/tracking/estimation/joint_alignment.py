@@ -88,7 +88,7 @@ def explained_again(task: Task, before: Explained, doubtful: Sequence[int]) -> E
     if task.prior.joint is None or not doubtful:
         return None
     shift = exp_many(before.fused.shift[None])[0]
-    jumps = _flat((shift @ task.start.poses)[doubtful]) - _flat(task.start.poses[doubtful])
+    jumps = flat((shift @ task.start.poses)[doubtful]) - flat(task.start.poses[doubtful])
     if np.abs(jumps * task.intrinsics[:2]).max() < const.JUMP_PX:
         return None
     again = _from(task, shift)
@@ -126,7 +126,8 @@ def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
     return None if found is None else found._replace(shift=found.shift @ shift)
 
 
-def _flat(poses: Floats) -> Floats:
+def flat(poses: Floats) -> Floats:
+    """(n, 2) where the origins of poses (n, 4, 4) are in the image, in focal lengths from its centre."""
     return np.asarray(poses[:, :2, 3] / np.maximum(poses[:, 2:3, 3], NEAREST_M))
 
 

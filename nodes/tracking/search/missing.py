@@ -15,11 +15,12 @@ from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
+from hierax.nodes.tracking.estimation.joint_alignment import flat
 from hierax.nodes.tracking.estimation.likelihood import explains, painted, shares
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
-from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, transform
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_so3, make_pose, transform
 from hierax.nodes.tracking.model.controls import gathered
 from hierax.nodes.tracking.model.symmetry import alike
 from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
@@ -84,6 +85,8 @@ def look_for_missing(
             continue
         at = places[sweep["id"]]
         known = found.get(at, Sighting(NO_POSES))
+        if known.pose is not None:
+            continue
         fresh = _fresh(search, maps, only_found(objects[at]["slots"]), sweep)
         found[at] = known._replace(guesses=np.concatenate((known.guesses, fresh)))
     return found
@@ -130,9 +133,14 @@ def _judged(
         return None
     controls = [other["controls"] for _, other in rows]
     looks = [only_found(objects[at]["slots"]) for at, _ in rows]
-    found = search.aligned(controls, looks, np.stack([other["pose"] for _, other in rows]), FINE, const.POINTS_MAX)
+    whose, poses = np.array([at for at, _ in rows]), np.stack([other["pose"] for _, other in rows])
+    found = search.aligned(controls, looks, poses, FINE, const.POINTS_MAX)
     if found is None:
         return None
+    jump = _jump(poses, found[0], whose, search.intrinsics)
+    again = None if jump is None else search.aligned(controls, looks, jump @ poses, FINE, const.POINTS_MAX)
+    if again is not None and _best_of_each(again[0], whose) > _best_of_each(found[0], whose):
+        found = again
     fine, unlikely, covariance = found
     nats, told = explains(fine), shares(fine)
     beside = painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics)
@@ -140,8 +148,34 @@ def _judged(
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
     owners = fine.stage.controls.owners
     edges = [lines[(owners == row) & fine.supported] for row in range(len(rows))]
-    whose, worth = np.array([at for at, _ in rows]), nats + beside - unlikely
+    worth = nats + beside - unlikely
     return Judged(whose, fine, nats, worth, covariance, boxes, edges, told.peaks + told.looks, beside)
+
+
+def _jump(poses: Floats, fine: Aligned, owners: Array, intrinsics: Array) -> Floats | None:
+    """(4, 4) how the camera is turned beside what was reported, by where the likeliest poses (n, 4, 4) of all objects
+    were found, each beside where it came; None where that is so little that all found their own edges. A report that is
+    off by some pixels puts all guesses beside other edges; as long as nothing is tracked nothing else tells that."""
+    nats = explains(fine)
+    likeliest = [own[nats[own].argmax()] for own in _of_each(owners)]
+    sure = [row for row in likeliest if fine.scores[row] >= const.SURE_SCORE]
+    if not sure:
+        return None
+    across, down = np.median(flat(fine.poses[sure]) - flat(poses[sure]), axis=0)
+    if np.hypot(across, down) * intrinsics[0] < const.JUMP_PX:
+        return None
+    return make_pose(exp_so3(np.array([-down, across, 0.0])), np.zeros(3))
+
+
+def _best_of_each(fine: Aligned, owners: Array) -> float:
+    """Nats of the likeliest pose of each object, together."""
+    nats = explains(fine)
+    return float(sum(max(nats[own].max(), 0.0) for own in _of_each(owners)))
+
+
+def _of_each(owners: Array) -> list[Array]:
+    """Of each object the rows of its poses."""
+    return [np.nonzero(owners == at)[0] for at in np.unique(owners)]
 
 
 def _decided(
@@ -156,7 +190,7 @@ def _decided(
     ranked: dict[int, list[int]] = {}
     for at in missing:
         own = np.nonzero((judged.owners == at) & possible)[0]
-        ranked[at] = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])[: const.OLD + 1]
+        ranked[at] = different(fine.poses, own[np.argsort(-worth[own], kind="stable")], const.OLD + 1)
     together = _together(judged, ranked, recent, staying, level)
     least = np.where(fine.scores > const.SURE_SCORE, const.LEAST_NATS, const.SURE_NATS)
     best, chosen = together.best(())
@@ -250,5 +284,5 @@ def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:
     worth = explains(rough) + stands_out(maps, rough.poses, controls, search.intrinsics) - unlikely
     # By turns the best by all that speaks for them, and those that faces alone had before the others.
     order = np.stack((np.argsort(-worth, kind="stable"), np.arange(len(worth))), axis=1).ravel()
-    best = different(rough.poses, order)[: const.FRESH]
+    best = different(rough.poses, order, const.FRESH)
     return np.asarray(rough.poses[best])

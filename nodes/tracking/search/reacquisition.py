@@ -180,10 +180,12 @@ def _chosen(
     return after
 
 
-def different(poses: Floats, ranked: Indices) -> list[int]:
-    """Those of some poses, best first, that are apart from all better ones."""
+def different(poses: Floats, ranked: Indices, most: int | None = None) -> list[int]:
+    """Those of some poses, best first, that are apart from all better ones; the first so many of them alone."""
     chosen: list[int] = []
     for number in ranked:
+        if len(chosen) == most:
+            break
         if chosen:
             apart = log_many(invert_many(poses[chosen]) @ poses[number])
             near = np.linalg.norm(apart[:, :3], axis=1) < const.APART_M

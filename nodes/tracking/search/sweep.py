@@ -26,7 +26,7 @@ class Maps(NamedTuple):
     """What an image shows, at half its size; the last row and column are what is not in the image: 0."""
 
     near: Singles  # (d, h, w) nats of an edge by its direction
-    colours: Singles  # (c + 1, h, w) grey levels, the last one 1 where they say something of missing objects, or 0
+    colours: Singles  # (h, w, c + 1) grey levels, the last one 1 where they say something of missing objects, or 0
 
     def without(self, outlines: Sequence[Floats]) -> "Maps":
         """The same where what lies within pixels (n, 2) on the edges of each object that is seen says nothing."""
@@ -34,7 +34,7 @@ class Maps(NamedTuple):
         for pixels in outlines:
             cv2.fillConvexPoly(seen, cv2.convexHull(np.rint((pixels - 0.5) / const.SHRUNK).astype(np.int32)), 1)
         free = (cv2.dilate(seen, np.ones((3, 3), dtype=np.uint8)) == 0).astype(np.float32)
-        return Maps(self.near * free, self.colours * free)
+        return Maps(self.near * free, self.colours * free[..., None])
 
 
 class Proposed(NamedTuple):
@@ -67,8 +67,8 @@ def maps_of(image: Image) -> Maps:
         near[at] = const.ALIKE * np.log(
             1.0 - const.FOUND + const.FOUND * density / np.maximum(clutter, const.LEAST_CLUTTER)
         )
-    beyond = ((0, 0), (0, 1), (0, 1))
-    return Maps(np.pad(near, beyond), np.pad(colours.transpose(2, 0, 1), beyond))
+    beyond, none = (0, 1), (0, 0)
+    return Maps(np.pad(near, (none, beyond, beyond)), np.pad(colours, (beyond, beyond, none)))
 
 
 def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
@@ -76,8 +76,8 @@ def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
     places, templates = sweep["places"], sweep["templates"]
     middle = places[len(places) // 2]
     each = [(other["controls"], other["pose"], middle, intrinsics) for other in templates]
-    sides, few = ([_sides(*other, every) for other in each] for every in (1, const.EVERY))
-    rough = np.stack([_stands_out(maps.colours, places, side, intrinsics) for side in few])
+    sides = [_sides(*other) for other in each]
+    rough = np.stack([_stands_out(maps.colours, places, side.at_every(const.EVERY), intrinsics) for side in sides])
     most = min(const.SECOND, rough.size)
     rows = np.sort(np.argpartition(-rough, most - 1, axis=None)[:most])  # so those of one template follow one another
     numbers, where = np.unravel_index(rows, rough.shape)
@@ -101,7 +101,7 @@ def uncovered(
 ) -> Sequence[ControlPoints]:
     """What would be seen where poses (n, 4, 4) put objects, each with its control points: of those that lie outside of
     the image, or where something else is seen, nothing."""
-    free = maps.colours[-1]
+    free = maps.colours[..., -1]
     last = np.array(free.shape[::-1]) - 1
     found: list[ControlPoints] = []
     for pose, each in zip(poses, controls, strict=True):
@@ -114,38 +114,40 @@ def uncovered(
 class _Sides(NamedTuple):
     """Of a template, what is looked at beside its control points."""
 
-    points: Singles  # (3, n + n) in a place's frame, inside of each and outside
-    faces: Singles  # (n + n, f) 1 where a point is on a face of the body
-    beside: NDArray[np.intp]  # (k,) those outside, or on another face
-    of: NDArray[np.intp]  # (k,) on which face their control points are
+    points: Singles  # (3, n) in a place's frame: those inside of each, then those outside
+    faces: Singles  # (n, f) 1 where a point is on a face of the body
+    own: Singles  # (f, k) 1 on which face the control points are of which the last k points lie outside
     worth: Singles  # (k,)
 
+    def at_every(self, step: int) -> "_Sides":
+        """The same at every so many of the control points."""
+        inside = np.arange(0, len(self.faces) - len(self.worth), step)
+        outside = np.arange(len(self.faces) - len(self.worth), len(self.faces))[::step]
+        chosen = np.concatenate((inside, outside))
+        return _Sides(self.points[:, chosen], self.faces[chosen], self.own[:, ::step], self.worth[::step])
 
-def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Array, every: int = 1) -> _Sides:
-    """What is looked at of a template at all places, as it is seen at one of them, at every so many of its points."""
-    kinds, patches = controls["kinds"][::every], controls["faces"][::every]
+
+def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Array) -> _Sides:
+    """What is looked at of a template at all places, as it is seen at one of them. Of a template whose edges lie on no
+    face that is known, nothing is."""
+    known = controls["faces"][:, 0] >= 0
+    kinds, patches = controls["kinds"][known], controls["faces"][known]
     seen = place @ pose
-    points, tangents, inwards = (controls[name][::every] @ seen[:3, :3].T for name in ("points", "tangents", "inwards"))
+    points, tangents, inwards = (controls[name][known] @ seen[:3, :3].T for name in ("points", "tangents", "inwards"))
     points = points + seen[:3, 3]
     flat = points[:, :2] / points[:, 2:]
     along = tangents[:, :2] - flat * tangents[:, 2:]
     across = np.stack((-along[:, 1], along[:, 0]), axis=1)
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    side = np.einsum("nk,nk->n", across, inwards[:, :2] - flat * inwards[:, 2:])
+    across /= np.maximum(np.hypot(across[:, 0], across[:, 1]), 1e-9)[:, None]
+    side = (across * (inwards[:, :2] - flat * inwards[:, 2:])).sum(axis=1)
     across *= np.where(side < 0, -const.FACE_BESIDE_PX, const.FACE_BESIDE_PX)[:, None] * points[:, 2:] / intrinsics[:2]
     moved = np.pad(across, ((0, 0), (0, 1)))
     both = np.concatenate((points + moved, points - moved)) - place[:3, 3]
     crease = kinds == CREASE
     numbers = np.concatenate((patches[:, 0], np.where(crease, patches[:, 1], -1)))
-    known = np.unique(numbers[numbers >= 0])
-    faces = (numbers[:, None] == known).astype(np.float32)
-    own = faces[: len(crease)]
-    used = np.nonzero(own.any(axis=1))[0]
-    worth = np.where(crease[used], const.FACE_CREASE, 1.0).astype(np.float32)
-    local = (both @ place[:3, :3]).T.astype(np.float32)
-    # of a template whose edges lie on no face that is known, nothing is looked at
-    of = own[used].argmax(axis=1) if used.size else used
-    return _Sides(local, faces, used + len(crease), of, worth)
+    faces = (numbers[:, None] == np.unique(patches[:, 0])).astype(np.float32)
+    worth = np.where(crease, const.FACE_CREASE, 1.0).astype(np.float32)
+    return _Sides((both @ place[:3, :3]).T.astype(np.float32), faces, faces[: len(worth)].T.copy(), worth)
 
 
 def _stands_out(colours: Singles, places: Floats, sides: _Sides, intrinsics: Array) -> Floats:
@@ -153,42 +155,46 @@ def _stands_out(colours: Singles, places: Floats, sides: _Sides, intrinsics: Arr
     if not sides.worth.size:
         return np.full(len(places), -np.inf)
     fx, fy, cx, cy = intrinsics
-    lens = np.array(
-        [[fx, 0.0, cx - 0.5 + 0.5 * const.SHRUNK], [0.0, fy, cy - 0.5 + 0.5 * const.SHRUNK], [0.0, 0.0, const.SHRUNK]]
-    )
+    # From a place to a pixel of the maps, times the depth; what lies between two counts as the lower one.
+    lens = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, const.SHRUNK]])
     views = (lens @ places[:, :3]).astype(np.float32)
-    _, height, width = colours.shape
-    planes = colours.reshape(len(colours), -1)
     found = np.empty(len(places))
     for start in range(0, len(places), const.CHUNK):
         chunk = np.s_[start : start + const.CHUNK]
         x, y, z = (views[chunk, axis, :3] @ sides.points + views[chunk, axis, 3:] for axis in range(3))
-        inverse = np.float32(1.0) / np.maximum(z, np.float32(0.02))
+        inverse = np.divide(np.float32(1.0), np.maximum(z, np.float32(0.02), out=z), out=z)
         x *= inverse
         y *= inverse
-        inside = (x >= 0) & (x < width - 1) & (y >= 0) & (y < height - 1)
-        index = np.where(inside, y.astype(np.int32) * width + x.astype(np.int32), height * width - 1)
-        found[chunk] = _differing(planes.take(index, axis=1), sides)
+        looks = cv2.remap(colours, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+        found[chunk] = _differing([np.asarray(each, np.float32) for each in cv2.split(looks)], sides)
     return found
 
 
-def _differing(looks: Singles, sides: _Sides) -> Singles:
-    """(n,) nats by what is looked at, (c + 1, n, k): of each face its mean and its variance, and how far from the mean
-    in standard deviations what lies beside it is."""
-    free, channels = looks[-1], np.float32(len(looks) - 1)
+def _differing(looks: Sequence[Singles], sides: _Sides) -> Singles:
+    """(n,) nats by what is looked at, of each colour and of what says something (n, k): of each face its mean and its
+    variance, and how far from the mean in standard deviations what lies beside it is."""
+    *planes, free = looks
+    channels, beside = np.float32(len(planes)), np.s_[:, free.shape[1] - len(sides.worth) :]
     count = free @ sides.faces
     least = np.maximum(count, np.float32(1.0))
-    means = np.stack([plane @ sides.faces / least for plane in looks[:-1]])
-    square = np.einsum("cnk,cnk->nk", looks[:-1], looks[:-1]) @ sides.faces
-    within = np.maximum(square - least * (means * means).sum(axis=0), 0.0) / np.maximum(least - 1.0, 1.0)
-    variance = within / channels + np.float32(const.FACE_SAME**2)
-    away = np.zeros((len(free), len(sides.of)), dtype=np.float32)
-    for plane, mean in zip(looks, means, strict=False):
-        away += (plane[:, sides.beside] - mean[:, sides.of]) ** 2
-    said = np.float32(0.5) * np.log1p(away / (channels * variance[:, sides.of]))
-    said = np.minimum(said, np.float32(const.FACE_MOST)) - np.float32(const.FACE_CHANCE)
-    said *= free[:, sides.beside] * (count[:, sides.of] >= const.LEAST_LOOKS)
-    total: Singles = said @ sides.worth
+    means = [plane @ sides.faces / least for plane in planes]
+    square = sum(plane * plane for plane in planes) @ sides.faces
+    within = np.maximum(square - least * sum(mean * mean for mean in means), 0.0) / np.maximum(least - 1.0, 1.0)
+    variance = within + channels * np.float32(const.FACE_SAME**2)
+    said = np.zeros(free[beside].shape, dtype=np.float32)
+    for plane, mean in zip(planes, means, strict=True):
+        away = mean @ sides.own
+        away -= plane[beside]
+        away *= away
+        said += away
+    said /= variance @ sides.own
+    said += np.float32(1.0)
+    np.log(said, out=said)
+    np.minimum(said, np.float32(2.0 * const.FACE_MOST), out=said)
+    said -= np.float32(2.0 * const.FACE_CHANCE)
+    said *= free[beside]
+    said *= (count >= const.LEAST_LOOKS).astype(np.float32) @ sides.own
+    total: Singles = said @ (np.float32(0.5) * sides.worth)
     return total
 
 
@@ -210,11 +216,10 @@ def _closer(maps: Maps, sweep: Sweep, sides: Sequence[_Sides], first: Proposed, 
         tried[..., :3, :3] = turns[:, None, None] @ tried[..., :3, :3]
         metres = first.poses[rows, 2, 3] / intrinsics[0]
         tried[..., :3, 3] += metres[:, None] * steps[:, None]
-        tried = tried.reshape(-1, 4, 4)
         template = sweep["templates"][number]
         found = _nats(maps.near, tried, template["controls"], intrinsics)
-        found += _stands_out(maps.colours, tried @ invert(template["pose"]), sides[number], intrinsics)
-        found = found.reshape(-1, len(rows))
+        every = tried.reshape(-1, 4, 4) @ invert(template["pose"])
+        found += _stands_out(maps.colours, every, sides[number], intrinsics).reshape(found.shape)
         best = found.argmax(axis=0)
         poses[rows], nats[rows] = tried.reshape(-1, len(rows), 4, 4)[best, np.arange(len(rows))], found.max(axis=0)
     order = np.argsort(-nats, kind="stable")
@@ -222,28 +227,31 @@ def _closer(maps: Maps, sweep: Sweep, sides: Sequence[_Sides], first: Proposed, 
     return only(closer, np.array(_apart(closer, intrinsics), dtype=np.intp))
 
 
-def _nats(maps: Singles, poses: Floats, controls: ControlPoints, intrinsics: Array) -> Floats:
-    """(n,) what one template's control points say of poses (n, 4, 4)."""
-    points, tangents = (controls[name].astype(np.float32).T for name in ("points", "tangents"))
-    if not points.size:
-        return np.full(len(poses), -np.inf)
-    rotations, shifts = poses[:, :3, :3].astype(np.float32), poses[:, :3, 3].astype(np.float32)
-    x, y, z = (rotations[:, axis] @ points + shifts[:, axis, None] for axis in range(3))
-    tx, ty, tz = (rotations[:, axis] @ tangents for axis in range(3))
-    inverse = np.float32(1.0) / np.maximum(z, np.float32(0.02))
-    x *= inverse
-    y *= inverse
+def _nats(maps: Singles, tried: Floats, controls: ControlPoints, intrinsics: Array) -> Floats:
+    """(t * s, n) what one template's control points say of poses (t, s, n, 4, 4), in each of t turns n of them, and the
+    same a little beside, s in all."""
+    if not len(controls["points"]):
+        return np.full((tried.shape[0] * tried.shape[1], tried.shape[2]), -np.inf)
     fx, fy, cx, cy = (np.float32(part) for part in intrinsics)
-    # Across the edge, not along it: the direction of the gradient.
-    turn = np.arctan2(fx * (tx - x * tz), -fy * (ty - y * tz))
+    points, tangents = (controls[name].astype(np.float32).T for name in ("points", "tangents"))
+    rotations, shifts = tried[:, 0, :, :3, :3].astype(np.float32), tried[..., :3, 3].astype(np.float32)
+    turned = [rotations[..., axis, :] @ points for axis in range(3)]
+    x, y, z = (turned[axis][:, None] + shifts[..., axis, None] for axis in range(3))
+    np.divide(np.float32(1.0), np.maximum(z, np.float32(0.02), out=z), out=z)
+    x *= z
+    y *= z
+    # Across the edge, not along it: the direction of the gradient, the same a little beside.
+    tx, ty, tz = (rotations[..., axis, :] @ tangents for axis in range(3))
+    turn = np.arctan2(fx * (tx - x[:, 0] * tz), -fy * (ty - y[:, 0] * tz))
     direction = np.rint(turn * np.float32(const.DIRECTIONS / np.pi)).astype(np.int32) % const.DIRECTIONS
     _, height, width = maps.shape
-    columns = np.rint((x * fx + cx - 0.5) / const.SHRUNK).astype(np.int32)
-    rows = np.rint((y * fy + cy - 0.5) / const.SHRUNK).astype(np.int32)
+    columns = np.rint((x * fx + (cx - np.float32(0.5))) / const.SHRUNK).astype(np.int32)
+    rows = np.rint((y * fy + (cy - np.float32(0.5))) / const.SHRUNK).astype(np.int32)
     outside = (columns < 0) | (columns >= width - 1) | (rows < 0) | (rows >= height - 1)
-    columns[outside], rows[outside] = width - 1, height - 1
-    total: Floats = maps[direction, rows, columns].sum(axis=1).astype(np.float64)
-    return total
+    at = (direction[:, None] * height + rows) * width + columns
+    at[outside] = maps[0].size - 1
+    total: Floats = maps.take(at).sum(axis=-1).astype(np.float64)
+    return total.reshape(-1, total.shape[-1])
 
 
 def _edges(small: Singles) -> tuple[NDArray[np.bool_], Singles]:
