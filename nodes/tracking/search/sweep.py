@@ -114,16 +114,15 @@ def uncovered(
 class _Sides(NamedTuple):
     """Of a template, what is looked at beside its control points."""
 
-    points: Singles  # (3, n) in a place's frame: those inside of each, then those outside
-    faces: Singles  # (n, f) 1 where a point is on a face of the body
-    own: Singles  # (f, k) 1 on which face the control points are of which the last k points lie outside
+    points: Singles  # (3, k + k) in a place's frame: those inside of each control point, then those outside
+    faces: Singles  # (k + k, f) 1 where a point is on a face of the body
+    own: Singles  # (f, k) 1 where a control point is on a face
     worth: Singles  # (k,)
 
     def at_every(self, step: int) -> "_Sides":
         """The same at every so many of the control points."""
-        inside = np.arange(0, len(self.faces) - len(self.worth), step)
-        outside = np.arange(len(self.faces) - len(self.worth), len(self.faces))[::step]
-        chosen = np.concatenate((inside, outside))
+        inside = np.arange(0, len(self.worth), step)
+        chosen = np.concatenate((inside, inside + len(self.worth)))
         return _Sides(self.points[:, chosen], self.faces[chosen], self.own[:, ::step], self.worth[::step])
 
 
@@ -155,7 +154,7 @@ def _stands_out(colours: Singles, places: Floats, sides: _Sides, intrinsics: Arr
     if not sides.worth.size:
         return np.full(len(places), -np.inf)
     fx, fy, cx, cy = intrinsics
-    # From a place to a pixel of the maps, times the depth; what lies between two counts as the lower one.
+    # From a place to a pixel of the maps, times the depth.
     lens = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, const.SHRUNK]])
     views = (lens @ places[:, :3]).astype(np.float32)
     found = np.empty(len(places))
@@ -171,10 +170,10 @@ def _stands_out(colours: Singles, places: Floats, sides: _Sides, intrinsics: Arr
 
 
 def _differing(looks: Sequence[Singles], sides: _Sides) -> Singles:
-    """(n,) nats by what is looked at, of each colour and of what says something (n, k): of each face its mean and its
-    variance, and how far from the mean in standard deviations what lies beside it is."""
+    """(n,) nats by what is looked at, each colour (n, k + k), and the last one whether it says anything: of each face
+    its mean and its variance, and how far from the mean in standard deviations what lies beside it is."""
     *planes, free = looks
-    channels, beside = np.float32(len(planes)), np.s_[:, free.shape[1] - len(sides.worth) :]
+    channels, beside = np.float32(len(planes)), np.s_[:, len(sides.worth) :]
     count = free @ sides.faces
     least = np.maximum(count, np.float32(1.0))
     means = [plane @ sides.faces / least for plane in planes]
