@@ -137,12 +137,15 @@ def _judged(
     found = search.aligned(controls, looks, poses, FINE, const.POINTS_MAX)
     if found is None:
         return None
-    jump = _jump(poses, found[0], whose, search.intrinsics)
+    nats = explains(found[0])
+    jump = _jump(poses, found[0], nats, whose, search.intrinsics)
     again = None if jump is None else search.aligned(controls, looks, jump @ poses, FINE, const.POINTS_MAX)
-    if again is not None and _best_of_each(again[0], whose) > _best_of_each(found[0], whose):
-        found = again
+    if again is not None:
+        after = explains(again[0])
+        if _best_of_each(after, whose) > _best_of_each(nats, whose):
+            found, nats = again, after
     fine, unlikely, covariance = found
-    nats, told = explains(fine), shares(fine)
+    told = shares(fine)
     beside = painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics)
     boxes = np.stack([_box(each) for each in controls])
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
@@ -152,11 +155,10 @@ def _judged(
     return Judged(whose, fine, nats, worth, covariance, boxes, edges, told.peaks + told.looks, beside)
 
 
-def _jump(poses: Floats, fine: Aligned, owners: Array, intrinsics: Array) -> Floats | None:
+def _jump(poses: Floats, fine: Aligned, nats: Floats, owners: Array, intrinsics: Array) -> Floats | None:
     """(4, 4) how the camera is turned beside what was reported, by where the likeliest poses (n, 4, 4) of all objects
     were found, each beside where it came; None where that is so little that all found their own edges. A report that is
     off by some pixels puts all guesses beside other edges; as long as nothing is tracked nothing else tells that."""
-    nats = explains(fine)
     likeliest = [own[nats[own].argmax()] for own in _of_each(owners)]
     sure = [row for row in likeliest if fine.scores[row] >= const.SURE_SCORE]
     if not sure:
@@ -167,9 +169,8 @@ def _jump(poses: Floats, fine: Aligned, owners: Array, intrinsics: Array) -> Flo
     return make_pose(exp_so3(np.array([-down, across, 0.0])), np.zeros(3))
 
 
-def _best_of_each(fine: Aligned, owners: Array) -> float:
-    """Nats of the likeliest pose of each object, together."""
-    nats = explains(fine)
+def _best_of_each(nats: Floats, owners: Array) -> float:
+    """Nats (n,) of the likeliest pose of each object, together."""
     return float(sum(max(nats[own].max(), 0.0) for own in _of_each(owners)))
 
 

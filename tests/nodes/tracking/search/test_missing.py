@@ -7,6 +7,7 @@ import pytest
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.appearance import NOTHING
+from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.math.batched import pixels_of
@@ -58,7 +59,7 @@ def test_guesses_that_all_came_beside_where_they_are_tell_where_the_camera_looks
     every = [controls(number, pose) for number, pose in zip(owners, poses, strict=True)]
     found = search.aligned(every, [NOTHING] * len(every), poses, FINE, const.POINTS_MAX)
     assert found is not None
-    jump = _jump(poses, found[0], owners, INTRINSICS)
+    jump = _jump(poses, found[0], explains(found[0]), owners, INTRINSICS)
     assert jump is not None
     for number, pose in enumerate(true):
         corners = box_mesh([SIDES_M[number]] * 3).vertices
@@ -67,7 +68,7 @@ def test_guesses_that_all_came_beside_where_they_are_tell_where_the_camera_looks
     # From there all find their own edges, and nothing is left to be told.
     again = search.aligned(every, [NOTHING] * len(every), jump @ poses, FINE, const.POINTS_MAX)
     assert again is not None
-    assert _jump(jump @ poses, again[0], owners, INTRINSICS) is None
+    assert _jump(jump @ poses, again[0], explains(again[0]), owners, INTRINSICS) is None
 
 
 def test_where_no_guess_is_sure_none_tells_where_the_camera_looks() -> None:
@@ -75,4 +76,4 @@ def test_where_no_guess_is_sure_none_tells_where_the_camera_looks() -> None:
     search, every = _Search(image(), INTRINSICS, LEVEL), [controls(0, poses[0])]
     found = search.aligned(every, [NOTHING], poses, FINE, const.POINTS_MAX)
     assert found is not None
-    assert _jump(poses, found[0], np.array([0]), INTRINSICS) is None
+    assert _jump(poses, found[0], explains(found[0]), np.array([0]), INTRINSICS) is None
