@@ -184,12 +184,18 @@ class _Victim:
             self._reached.wait(WAIT_S)
         while not self.over.is_set() and time.monotonic() < patience_s:
             pid = self._pid()
-            if pid:
-                time.sleep(self._delay_s)
-                os.kill(pid, signal.SIGKILL)
+            if pid and self._killed(pid):
                 self.killed = self._mates
                 return
             time.sleep(0.0005)
+
+    def _killed(self, pid: int) -> bool:
+        time.sleep(self._delay_s)
+        try:
+            os.kill(pid, signal.SIGKILL)
+        except ProcessLookupError:  # it has left by itself, as the run has ended or its nodes are in another one now
+            return False
+        return True
 
     def _pid(self) -> int:
         try:
