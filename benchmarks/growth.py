@@ -114,6 +114,8 @@ def measure(shapes: Sequence[str], sizes: Sequence[int], rounds: int) -> dict[tu
             turn = end.recv()
             if number:
                 found[case].append(turn)
+    for end in ends.values():
+        end.send(False)  # it is over
     return found
 
 

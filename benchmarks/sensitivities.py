@@ -13,7 +13,8 @@ Of each change the table has by how much the share of (object, frame) within 5 m
 2 mm and 2°, in points over all scenes that are tracked with it; the mean distance from the truth, in micrometres; and
 the objects lost. ``=``: all poses are the same to the last bit.
 Constants of the search for objects of which no pose is told are changed on scenes that are tracked without; all others
-on scenes with first poses. With ``--log`` what was found is kept, and not measured again.
+on scenes with first poses. What changes nothing there is tried where things are knocked about, lost and found again,
+and stands in parentheses. With ``--log`` what was found is kept, and not measured again.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import builtins
 import importlib.machinery
 import json
 import multiprocessing
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -37,17 +39,24 @@ FILES = ("arm.py", "spatial.py", "render.py", "constants.py")
 FACTORS = (0.5, 2.0)
 FAR_MM = 20.0
 
-GIVEN = (("hidden", 2, 12, None), ("alike", 91, 16, None))
-"""Kinds, seeds, frames and numbers of objects (None: all) of the scenes with first poses."""
+Scenes = tuple[tuple[str, int, int, int | None], ...]
+"""Kinds, seeds, frames and numbers of objects; None: all."""
 
-FOUND = (("scattered", 0, 14, 2),)
-"""Of those without."""
+GROUPS: dict[str, Scenes] = {
+    "given": (("hidden", 2, 12, None), ("alike", 91, 16, None)),
+    "found": (("scattered", 0, 14, 2),),
+    "again": (("knocked", 1, 40, None),),
+}
+"""Scenes with first poses, without, and those for what changes nothing in the first."""
+
+MOST_S = 600
+"""Some values, as of a number's base, end no more."""
 
 POINTS, OFF_MM = 0.5, 0.05
 """What changes figures by no more than this hardly does."""
 
-SEARCHING = "Tuned: without first poses"
-"""The kind of what is only used without first poses."""
+SEARCHING = ": without first poses"
+"""How kinds end of what is only used without first poses."""
 
 TECHNICAL = ("NO_", "_NO_", "NOTHING")
 """Names, or beginnings of them, of what is no constant to be chosen: empty values."""
@@ -71,8 +80,18 @@ class Constant(NamedTuple):
         return f"{self.file}:{self.name}"
 
 
-Task = tuple[Constant | None, float, Path]
-"""What is changed (None: nothing), by what factor (of nothing, 0: without first poses), and the scenes' folder."""
+class Task(NamedTuple):
+    """One measurement."""
+
+    constant: Constant | None  # what is changed; None: nothing
+    factor: float
+    scenes: Path  # their folder
+    group: str
+
+    @property
+    def key(self) -> str:
+        """What tells it from the others."""
+        return _key(self.constant, self.factor, self.group)
 
 
 class Figures(NamedTuple):
@@ -165,10 +184,10 @@ def changed(value: Any, factor: float) -> Any:
     return (value * factor).astype(value.dtype) if hasattr(value, "dtype") else value
 
 
-def figures(constant: Constant | None, factor: float, scenes: Path) -> Figures:
+def figures(task: Task) -> Figures:
     """The figures with a constant changed; in a process that has loaded nothing of the tracker yet."""
-    if constant is not None:
-        _change(constant, factor)
+    if task.constant is not None:
+        _change(task.constant, task.factor)
     from hashlib import blake2b
     from tempfile import TemporaryDirectory
 
@@ -177,15 +196,14 @@ def figures(constant: Constant | None, factor: float, scenes: Path) -> Figures:
     from hierax.nodes.benchmarks.tracking import Scene, track
     from hierax.nodes.tracking.evaluation.scoring import score
 
-    searched = constant is not None and constant.kind == SEARCHING
-    searched |= constant is None and factor == 0.0
+    start = ["start=search"] if task.group == "found" else []
     errors: list[Any] = []
     digest = blake2b(digest_size=16)
     with TemporaryDirectory() as name:
-        for kind, seed, frames, _ in FOUND if searched else GIVEN:
-            folder = _folder(scenes, kind, seed, frames) / "test" / "000001"
+        for kind, seed, frames, _ in GROUPS[task.group]:
+            folder = _folder(task.scenes, kind, seed, frames) / "test" / "000001"
             scene = Scene(kind, seed, folder, folder.parents[1] / "truth" / folder.name, True)
-            tracked = track(scene, "with all", ["start=search"] if searched else [], Path(name))
+            tracked = track(scene, "with all", start, Path(name))
             errors += tracked.errors
             for each in tracked.errors:
                 digest.update(each.distance_mm.tobytes() + each.angle_deg.tobytes())
@@ -231,32 +249,44 @@ def _folder(scenes: Path, kind: str, seed: int, frames: int) -> Path:
 def _draw(scenes: Path) -> None:
     from hierax.nodes.tracking.generator.scenes import write_scene
 
-    for kind, seed, frames, objects in (*GIVEN, *FOUND):
+    for kind, seed, frames, objects in (each for group in GROUPS.values() for each in group):
         folder = _folder(scenes, kind, seed, frames)
         if not folder.is_dir():
             write_scene(folder, kind, seed, frames, False, objects)
 
 
 def _one(task: Task) -> tuple[str, dict[str, Any]]:
-    constant, factor, scenes = task
-    key = f"{constant.key if constant else ''} {factor} {constant.text if constant else ''}"
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(MOST_S)
     try:
-        return key, figures(constant, factor, scenes)._asdict()
+        return task.key, figures(task)._asdict()
     except Exception as error:  # what a constant's value breaks is told of it
-        return key, {"failed": f"{type(error).__name__}: {error}"[:80]}
+        return task.key, {"failed": f"{type(error).__name__}: {error}"[:80]}
+
+
+def _too_long(number: int, frame: object) -> None:
+    raise TimeoutError(f"not done in {MOST_S} s")
+
+
+def _key(constant: Constant | None, factor: float, group: str) -> str:
+    return group if constant is None else f"{constant.key} {factor} {constant.text} {group}"
+
+
+def _groups(constant: Constant) -> tuple[str, ...]:
+    """The scenes that a constant is changed on, and those for one that changes nothing there."""
+    return ("found",) if constant.kind.endswith(SEARCHING) else ("given", "again")
+
+
+def _kept(log: Path | None) -> dict[str, Any]:
+    if log is None or not log.is_file():
+        return {}
+    return dict(map(json.loads, log.read_text(encoding="utf-8").splitlines()))
 
 
 def measure(tasks: Sequence[Task], log: Path | None, processes: int) -> dict[str, Any]:
     """What each change comes to, by constant, factor and text."""
-    found: dict[str, Any] = {}
-    if log is not None and log.is_file():
-        found = dict(map(json.loads, log.read_text(encoding="utf-8").splitlines()))
-
-    def wanted(task: Task) -> bool:
-        constant, factor, _ = task
-        return f"{constant.key if constant else ''} {factor} {constant.text if constant else ''}" not in found
-
-    left = [task for task in tasks if wanted(task)]
+    found = _kept(log)
+    left = [task for task in tasks if task.key not in found]
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["numpy", "cv2", "pybullet", "yaml", "hierax.runtime.deployment.read"])
     pool = ProcessPoolExecutor(processes, context, max_tasks_per_child=1)
@@ -283,19 +313,20 @@ def table(found: dict[str, Any], known: Sequence[Constant]) -> str:
                 "| constant | is | of it a half | twice | for |",
                 "| --- | --- | --- | --- | --- |",
             ]
-        base = found.get(f" {_first_poses(each)} ", {})
-        cells = [_cell(found.get(f"{each.key} {factor} {each.text}"), base) for factor in FACTORS]
+        cells = [_cell(found, each, factor) for factor in FACTORS]
         text = each.text if len(each.text) <= 40 else each.text[:39] + "…"
         lines.append(f"| `{each.name}` | `{text}` | {cells[0]} | {cells[1]} | {each.about.replace('|', '/')} |")
     return "\n".join(lines) + "\n"
 
 
-def _first_poses(constant: Constant) -> float:
-    """What stands for scenes with first poses, or without, those that a constant is changed on."""
-    return 0.0 if constant.kind == SEARCHING else 1.0
+def _cell(found: dict[str, Any], constant: Constant, factor: float) -> str:
+    first, *others = (_told(found, constant, factor, group) for group in _groups(constant))
+    again = "".join(others)
+    return f"({again})" if first == "=" and again not in ("", "=") else first
 
 
-def _cell(one: dict[str, Any] | None, base: dict[str, Any]) -> str:
+def _told(found: dict[str, Any], constant: Constant, factor: float, group: str) -> str:
+    one, base = found.get(_key(constant, factor, group)), found.get(group, {})
     if one is None:
         return ""
     if "failed" in one:
@@ -312,24 +343,31 @@ def summary(found: dict[str, Any], known: Sequence[Constant], left: int = 0) -> 
     """What the table comes to, and how many constants are not measured yet."""
     counts = dict.fromkeys(("same", "little", "more"), 0)
     for each in known:
-        base = found[f" {_first_poses(each)} "]
-        counts[_noticed([found[f"{each.key} {factor} {each.text}"] for factor in FACTORS], base)] += 1
-    bases = [found[f" {factor} "] for factor in (1.0, 0.0) if f" {factor} " in found]
-    told = " and ".join(
+        changes = {group: [found.get(_key(each, factor, group)) for factor in FACTORS] for group in _groups(each)}
+        noticed = [_noticed([one for one in own if one], found[group]) for group, own in changes.items() if any(own)]
+        counts[next(what for what in ("more", "little", "same") if what in noticed)] += 1
+    tuned, searching = (sum(each.kind.startswith(kind) for each in known) for kind in ("Tuned", "Tuned" + SEARCHING))
+    told = "; ".join(
         f"{100 * each['near']:.1f} / {100 * each['exact']:.1f} % ({each['off_mm']:.2f} mm, {each['lost']} lost)"
-        for each in bases
+        for each in (found[group] for group in GROUPS)
     )
-    same, little, more = counts.values()
-    empty = f"; {left} more constants have empty cells: they are not measured yet" if left else ""
-    return f"""Of {len(known)} constants, changed to a half and to twice of what they are, {same} leave all
-poses the same to the last bit, {little} change figures by at most {POINTS} points and {OFF_MM * 1000:.0f} µm,
-and {more} by more. Scenes are of generator A, which the constants are fitted on: {_named(GIVEN)} with first
-poses; {_named(FOUND)} without, for what only looks for objects.
-With all as they are, {told} are right by 5 mm and 5° / 2 mm and 2°.
+    scenes = [_named(group) for group in GROUPS.values()]
+    empty = f" Of {left} more constants cells are empty: they are not measured yet." if left else ""
+    return f"""Of {len(known)} constants {tuned} are tuned, {searching} of them for what is looked for without first
+poses; others are efforts, numerics, facts, and what draws and simulates needs. Changed to a half and to twice of what
+they are, {counts["same"]} leave all poses the same to the last bit, {counts["little"]} change figures by at most
+{POINTS} points and {OFF_MM * 1000:.0f} µm, and {counts["more"]} by more
+([what whole mechanisms do](decisions/0053-what-was-switched-off.md)).{empty}
 
-Cells have the change of these shares in points and of the mean distance in micrometres; `=`: all poses are the same.
-What the arm says of its certainty is not looked at: some of the likelihood's constants change nothing else there.
-`make sensitivities` makes this page{empty}.
+Scenes are of generator A, which the constants are fitted on: {scenes[0]}
+with first poses; {scenes[1]} without, for what only looks for objects; and {scenes[2]},
+where objects are lost and found again, for what changes nothing in the first. With all as they are,
+{told} are right by 5 mm and 5° / 2 mm and 2°.
+
+Cells have the change of these shares in points and of the mean distance in micrometres, in parentheses in the last of
+these scenes; `=`: all poses are the same. So few frames tell what a constant does, not how well it is chosen: one
+object that is lost or not makes some five points. What the arm says of its certainty is not looked at: some of the
+likelihood's constants change nothing else there. `make sensitivities` makes this page.
 """
 
 
@@ -343,11 +381,21 @@ def _noticed(changes: Sequence[dict[str, Any]], base: dict[str, Any]) -> str:
     return "little" if points <= POINTS and off <= OFF_MM else "more"
 
 
-def _named(scenes: Sequence[tuple[str, int, int, int | None]]) -> str:
+def _named(scenes: Scenes) -> str:
     return " and ".join(
         f"`{kind}` (seed {seed}, {frames} frames{'' if objects is None else f', {objects} objects'})"
         for kind, seed, frames, objects in scenes
     )
+
+
+def _found(known: Sequence[Constant], options: argparse.Namespace) -> dict[str, Any]:
+    """What all changes come to; of those that change nothing, where things are lost, too."""
+    bases = [Task(None, 1.0, options.scenes, group) for group in GROUPS]
+    changes = [Task(each, factor, options.scenes, _groups(each)[0]) for each in known for factor in FACTORS]
+    found = measure([*bases, *changes], options.log, options.processes)
+    same = [task for task in changes if found[task.key].get("poses") == found[task.group]["poses"]]
+    again = [task._replace(group="again") for task in same if task.group == "given"]
+    return {**found, **measure(again, options.log, options.processes)}
 
 
 def main() -> int:
@@ -370,11 +418,8 @@ def main() -> int:
         return 0
     if not options.told:
         _draw(options.scenes)
-    bases: list[tuple[Constant | None, float]] = [(None, 1.0), (None, 0.0)]
-    changes = [(each, factor) for each in known for factor in FACTORS]
-    tasks = [(constant, factor, options.scenes) for constant, factor in bases + changes if not options.told]
-    found = measure(tasks, options.log, options.processes)
-    measured = [each for each in known if all(f"{each.key} {factor} {each.text}" in found for factor in FACTORS)]
+    found = _kept(options.log) if options.told else _found(known, options)
+    measured = [each for each in known if all(_key(each, factor, _groups(each)[0]) in found for factor in FACTORS)]
     text = summary(found, measured, len(known) - len(measured)) + table(found, known)
     if options.write is None:
         print(text)

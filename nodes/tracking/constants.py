@@ -184,6 +184,9 @@ FAILED_AT_ONCE, FAILED_EVERY = 5, 8  # what was not found in so many images is l
 AT_ONCE, GUESSES = 8, 3  # poses that are imagined of a body for one image, and that are kept of it
 NEARLY_DOWN = 0.5  # cosine: on faces no farther from down one is imagined to rest that is seen where it cannot
 JUDGED_EVERY = 15  # images until a model that does not do so well is judged again
+
+# ---- Effort: without first poses ----
+
 FRESH, OLD, RIVALS = 4, 3, 8  # guesses of a sweep, and of those that were judged, that go up; objects chosen together
 SWEPT_AT_ONCE, SWEPT_EVERY, SWEPT_TOGETHER = 6, 3, 2  # as of what failed, of sweeps; so many in an image
 COVERED_AFTER = 90  # sweeps without success, before a missing body is looked for on another missing one, too
