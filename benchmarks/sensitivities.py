@@ -283,9 +283,8 @@ def _kept(log: Path | None) -> dict[str, Any]:
     return dict(map(json.loads, log.read_text(encoding="utf-8").splitlines()))
 
 
-def measure(tasks: Sequence[Task], log: Path | None, processes: int) -> dict[str, Any]:
-    """What each change comes to, by constant, factor and text."""
-    found = _kept(log)
+def measure(tasks: Sequence[Task], found: dict[str, Any], log: Path | None, processes: int) -> None:
+    """Add to what was found what each change comes to, by constant, factor, text and scenes."""
     left = [task for task in tasks if task.key not in found]
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["numpy", "cv2", "pybullet", "yaml", "hierax.runtime.deployment.read"])
@@ -297,7 +296,6 @@ def measure(tasks: Sequence[Task], log: Path | None, processes: int) -> dict[str
             if log is not None:
                 with log.open("a", encoding="utf-8") as file:
                     file.write(json.dumps([key, each]) + "\n")
-    return found
 
 
 def table(found: dict[str, Any], known: Sequence[Constant]) -> str:
@@ -341,22 +339,19 @@ def _told(found: dict[str, Any], constant: Constant, factor: float, group: str) 
 
 def summary(found: dict[str, Any], known: Sequence[Constant], left: int = 0) -> str:
     """What the table comes to, and how many constants are not measured yet."""
-    counts = dict.fromkeys(("same", "little", "more"), 0)
-    for each in known:
-        changes = {group: [found.get(_key(each, factor, group)) for factor in FACTORS] for group in _groups(each)}
-        noticed = [_noticed([one for one in own if one], found[group]) for group, own in changes.items() if any(own)]
-        counts[next(what for what in ("more", "little", "same") if what in noticed)] += 1
+    most = [max(_noticed(one, base) for one, base in _measured(found, each)) for each in known]
+    same, little, more = (most.count(degree) for degree in range(3))
     tuned, searching = (sum(each.kind.startswith(kind) for each in known) for kind in ("Tuned", "Tuned" + SEARCHING))
     told = "; ".join(
         f"{100 * each['near']:.1f} / {100 * each['exact']:.1f} % ({each['off_mm']:.2f} mm, {each['lost']} lost)"
-        for each in (found[group] for group in GROUPS)
+        for each in (found[group] for group in GROUPS if group in found)
     )
     scenes = [_named(group) for group in GROUPS.values()]
     empty = f" Of {left} more constants cells are empty: they are not measured yet." if left else ""
     return f"""Of {len(known)} constants {tuned} are tuned, {searching} of them for what is looked for without first
 poses; others are efforts, numerics, facts, and what draws and simulates needs. Changed to a half and to twice of what
-they are, {counts["same"]} leave all poses the same to the last bit, {counts["little"]} change figures by at most
-{POINTS} points and {OFF_MM * 1000:.0f} µm, and {counts["more"]} by more
+they are, {same} leave all poses the same to the last bit, {little} change figures by at most
+{POINTS} points and {OFF_MM * 1000:.0f} µm, and {more} by more
 ([what whole mechanisms do](decisions/0053-what-was-switched-off.md)).{empty}
 
 Scenes are of generator A, which the constants are fitted on: {scenes[0]}
@@ -371,14 +366,20 @@ likelihood's constants change nothing else there. `make sensitivities` makes thi
 """
 
 
-def _noticed(changes: Sequence[dict[str, Any]], base: dict[str, Any]) -> str:
-    if all(one.get("poses") == base["poses"] for one in changes):
-        return "same"
-    if any("failed" in one or one["lost"] != base["lost"] for one in changes):
-        return "more"
-    points = max(100.0 * abs(one[name] - base[name]) for one in changes for name in ("near", "exact"))
-    off = max(abs(one["off_mm"] - base["off_mm"]) for one in changes)
-    return "little" if points <= POINTS and off <= OFF_MM else "more"
+def _measured(found: dict[str, Any], constant: Constant) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """What each change of a constant has come to, and what there is without it."""
+    keys = [(_key(constant, factor, group), group) for factor in FACTORS for group in _groups(constant)]
+    return [(found[key], found[group]) for key, group in keys if key in found]
+
+
+def _noticed(one: dict[str, Any], base: dict[str, Any]) -> int:
+    """0: all poses are the same; 1: figures hardly change; 2: they do."""
+    if one.get("poses") == base["poses"]:
+        return 0
+    if "failed" in one or one["lost"] != base["lost"]:
+        return 2
+    points = max(100.0 * abs(one[name] - base[name]) for name in ("near", "exact"))
+    return 1 if points <= POINTS and abs(one["off_mm"] - base["off_mm"]) <= OFF_MM else 2
 
 
 def _named(scenes: Scenes) -> str:
@@ -388,14 +389,14 @@ def _named(scenes: Scenes) -> str:
     )
 
 
-def _found(known: Sequence[Constant], options: argparse.Namespace) -> dict[str, Any]:
-    """What all changes come to; of those that change nothing, where things are lost, too."""
+def _measure_all(known: Sequence[Constant], found: dict[str, Any], options: argparse.Namespace) -> None:
+    """All changes; those that change nothing where things are lost, too."""
     bases = [Task(None, 1.0, options.scenes, group) for group in GROUPS]
     changes = [Task(each, factor, options.scenes, _groups(each)[0]) for each in known for factor in FACTORS]
-    found = measure([*bases, *changes], options.log, options.processes)
+    measure([*bases, *changes], found, options.log, options.processes)
     same = [task for task in changes if found[task.key].get("poses") == found[task.group]["poses"]]
     again = [task._replace(group="again") for task in same if task.group == "given"]
-    return {**found, **measure(again, options.log, options.processes)}
+    measure(again, found, options.log, options.processes)
 
 
 def main() -> int:
@@ -416,9 +417,10 @@ def main() -> int:
             print(f"{each.key}  {each.text}  {each.about}")
         print(f"{len(known)} constants")
         return 0
+    found = _kept(options.log)
     if not options.told:
         _draw(options.scenes)
-    found = _kept(options.log) if options.told else _found(known, options)
+        _measure_all(known, found, options)
     measured = [each for each in known if all(_key(each, factor, _groups(each)[0]) in found for factor in FACTORS)]
     text = summary(found, measured, len(known) - len(measured)) + table(found, known)
     if options.write is None:
