@@ -157,7 +157,7 @@ sensitivities: $(INSTALLED)
 tutorial: $(INSTALLED)
 	$(BIN)/python benchmarks/tutorial.py
 
-# docs/tools.md: Ctrl-C at random instants of commands; some minutes
+# docs/limits.md: Ctrl-C at random instants of commands; some minutes
 interrupts: $(INSTALLED)
 	$(BIN)/python benchmarks/interrupts.py
 

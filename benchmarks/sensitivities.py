@@ -2,7 +2,7 @@
 
     python benchmarks/sensitivities.py SCENES                   # draws scenes of generator A there, and tracks them
     python benchmarks/sensitivities.py SCENES --list            # the constants, without tracking
-    python benchmarks/sensitivities.py SCENES --write docs/reference/constants.md --log SCENES/found.jsonl
+    python benchmarks/sensitivities.py SCENES --write docs/tracking-constants.md --log SCENES/found.jsonl
 
 Constants are numbers, and tuples and arrays of numbers, that stand at the top of a module of the tracker under a name
 in capitals: in ``constants.py`` but for what draws and simulates. Each is changed alone, in a process of its own, where
@@ -343,8 +343,9 @@ def summary(found: dict[str, Any], known: Sequence[Constant], left: int = 0) -> 
     same, little, more = (most.count(degree) for degree in range(3))
     tuned, searching = (sum(each.kind.startswith(kind) for each in known) for kind in ("Tuned", "Tuned" + SEARCHING))
     told = "; ".join(
-        f"{100 * each['near']:.1f} / {100 * each['exact']:.1f} % ({each['off_mm']:.2f} mm, {each['lost']} lost)"
-        for each in (found[group] for group in GROUPS if group in found)
+        f"{' and '.join(f'`{kind}`' for kind, *_ in scenes)} {100 * each['near']:.1f} / {100 * each['exact']:.1f} % "
+        f"({each['off_mm']:.2f} mm, {each['lost']} lost)"
+        for scenes, each in ((scenes, found[group]) for group, scenes in GROUPS.items() if group in found)
     )
     scenes = [_named(group) for group in GROUPS.values()]
     empty = f" Of {left} more constants cells are empty: they are not measured yet." if left else ""
@@ -356,8 +357,8 @@ they are, {same} leave all poses the same to the last bit, {little} change figur
 
 Scenes are of generator A, which the constants are fitted on: {scenes[0]}
 with first poses; {scenes[1]} without, for what only looks for objects; and {scenes[2]},
-where objects are lost and found again, for what changes nothing in the first. With all as they are,
-{told} are right by 5 mm and 5° / 2 mm and 2°.
+where objects are lost and found again, for what changes nothing in the first. With all as they are, right by 5 mm and 5° /
+2 mm and 2° (off in the mean, objects lost) are: {told}.
 
 Cells have the change of these shares in points and of the mean distance in micrometres, in parentheses in the last of
 these scenes; `=`: all poses are the same. So few frames tell what a constant does, not how well it is chosen: one
