@@ -357,8 +357,8 @@ they are, {same} leave all poses the same to the last bit, {little} change figur
 
 Scenes are of generator A, which the constants are fitted on: {scenes[0]}
 with first poses; {scenes[1]} without, for what only looks for objects; and {scenes[2]},
-where objects are lost and found again, for what changes nothing in the first. With all as they are, right by 5 mm and 5° /
-2 mm and 2° (off in the mean, objects lost) are: {told}.
+where objects are lost and found again, for what changes nothing in the first. With all as they are, right by 5 mm and
+5° / 2 mm and 2° (off in the mean, objects lost) are: {told}.
 
 Cells have the change of these shares in points and of the mean distance in micrometres, in parentheses in the last of
 these scenes; `=`: all poses are the same. So few frames tell what a constant does, not how well it is chosen: one

@@ -24,9 +24,12 @@ def as_deployment(
 ) -> dict[str, Any]:
     """A network as the content of a deployment file, with evidence sets as `EvidenceWorld` takes them, each shown as
     long as it takes to be exact, and by name of a hierarchy's node the network's nodes that it holds, by default each
-    by itself. Raises NetworkError: it is no network, a node is in no part or in two, or the parts' arrows go round in a
-    circle."""
+    by itself. Raises NetworkError: it is no network, a node's id is no text, a node is in no part or in two, or the
+    parts' arrows go round in a circle."""
     network = parse(description)
+    unnamed = next((name for name in network.variables if not isinstance(name, str)), None)
+    if unnamed is not None:
+        raise NetworkError("a node of a hierarchy needs a text as its id", unnamed)
     if parts is None:
         parts = {str(name): (str(name),) for name in network.variables}
     held = _held(network, parts)
@@ -127,7 +130,7 @@ def _written(network: Network, sets: Sequence[Mapping[str, Any]]) -> list[Shown]
 
 def _shown(network: Network, name: str, value: Any) -> int | tuple[float, ...]:
     vector = likelihoods(network, name, value)
-    return tuple(vector.tolist()) if isinstance(value, (list, tuple)) else int(vector.argmax())
+    return tuple(vector.tolist()) if isinstance(value, (list, tuple, np.ndarray)) else int(vector.argmax())
 
 
 def _drawn(network: Network, draw: Mapping[str, Any]) -> list[Shown]:

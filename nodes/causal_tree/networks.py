@@ -58,8 +58,9 @@ def random_tree(nodes: int, states: int, seed: int) -> list[dict[str, Any]]:
 
 
 def likelihoods(network: Network, name: Name, value: object) -> Floats:
-    """Evidence of a node as a user may write it, a state's name, its number from 0, or likelihoods, one for each state,
-    as a likelihood vector. Raises EvidenceError: there is no such node or state, or the numbers are no likelihoods."""
+    """Evidence of a node as a user may write it, a state's name, else its number from 0, or likelihoods, one for each
+    state, as a likelihood vector. Raises EvidenceError: there is no such node or state, or the numbers are no
+    likelihoods."""
     if name not in network.variables:
         raise EvidenceError("there is no such node", name)
     variable = network.variables[name]
@@ -105,6 +106,8 @@ def sampled(network: Network, random: np.random.Generator) -> dict[Name, int]:
 def _state(variable: Variable, value: object) -> int:
     if isinstance(value, str) and value in variable.states:
         return variable.states.index(value)
+    if type(value) is int and str(value) in variable.states:  # YAML's reading of a state whose name is a number
+        return variable.states.index(str(value))
     if type(value) is int and 0 <= value < len(variable.states):
         return value
     if isinstance(value, bool) and str(value).lower() in variable.states:  # YAML's reading of a state named true

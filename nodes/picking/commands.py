@@ -1,8 +1,8 @@
 """What is asked of the gripper, handed down from node to node as task parameters.
 
 A command is {"gripper": world_from_gripper (4, 4), "width": metres between the finger pads, "speed": m/s at most}. On
-the way down each node's policy is chosen by the command that came from above: the policy's name holds the command to
-the bit, and the policy's one action is that command again."""
+the way down each node's policy is chosen by the command that came from above: the policy's name holds the command, and
+the policy's one action is that command again, its turn rounded as a unit quaternion is."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any

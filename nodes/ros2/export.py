@@ -175,6 +175,7 @@ def _replacing(folder: Path, overwrite: bool) -> "Iterator[Writer]":
 def _check_replaceable(folder: Path, overwrite: bool) -> None:
     if not overwrite:
         raise DataError(f"{folder}: is there already; --overwrite replaces it, or name another folder")
-    names = [each.name for each in folder.iterdir()] if folder.is_dir() else [folder.name]
-    if folder.is_symlink() or not all(name == _METADATA or name.endswith(_STORAGE) for name in names):
+    names = {each.name for each in folder.iterdir()} if folder.is_dir() else {folder.name}
+    is_bag = _METADATA in names and names <= {_METADATA, f"{folder.absolute().name}{_STORAGE}"}
+    if folder.is_symlink() or (names and not is_bag):
         raise DataError(f"{folder}: has other files than a bag's; expected a folder that --rosbag wrote")

@@ -92,7 +92,7 @@ class Live(Source):
             check_size(self.name, shot.image, self._size)
         with self._changed:
             before = 0 if self._newest is None else self._newest.number
-            self._newest = _Taken(before + count, shot)
+            self._newest, self._fault = _Taken(before + count, shot), ""
             self._changed.notify_all()
 
     def _wait_on(self, after: int) -> None:

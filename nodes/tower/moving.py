@@ -32,7 +32,7 @@ from hierax.nodes.picking.phases import (
     is_sure,
     steadied,
 )
-from hierax.nodes.picking.planning import OPENING_M, before
+from hierax.nodes.picking.planning import OPENING_M, before, is_alike
 from hierax.nodes.tower.placing import at_height, place_on, place_on_table, top_of
 from hierax.nodes.tower.reaching import Reach, reach
 from hierax.nodes.tower.tasks import is_move
@@ -48,7 +48,7 @@ _ALIKE = 2.5  # trace of a turn, 3 at most: by less than 40° a place is followe
 
 SIGHTED_S = 3.0  # so long what a cube comes onto is where it was seen last, while the one in hand hides it
 
-MOST_TRIED = 8  # so many ways to take cubes that failed are remembered
+_MOST_TRIED = 64  # so many ways to take cubes that failed are remembered; one cube has 28 at most
 
 OF_A_MOVE = ("target", "box_from_gripper", "box_width", "gripper", "place", "sighted_s", "refused", "frees")
 
@@ -157,8 +157,10 @@ def _unless_late(belief: Value, time_s: float) -> Value:
     """The same, or, where the hand does not come to the cube, back, to take it otherwise."""
     if not is_late(belief, time_s):
         return belief
-    tried = (*belief["tried"], (belief["target"], belief["box_from_gripper"]))
-    return entered({**belief, "tried": tried[-MOST_TRIED:]}, RETREAT, time_s)
+    number, way, tried = belief["target"], belief["box_from_gripper"], belief["tried"]
+    if any(other == number and is_alike(way, failed) for other, failed in tried):  # it was taken as no other was left
+        tried = tuple(each for each in tried if each[0] != number)
+    return entered({**belief, "tried": (*tried, (number, way))[-_MOST_TRIED:]}, RETREAT, time_s)
 
 
 def _after_over(belief: Value, time_s: float) -> Value:
@@ -187,8 +189,10 @@ def _after_carry(belief: Value, time_s: float) -> Value:
     in hand comes onto the table."""
     if not is_filled(belief):
         return entered(belief, RETREAT, time_s)
-    seen = _is_seen(belief)
-    belief = {**belief, "place": _place(belief), "sighted_s": time_s if seen else belief["sighted_s"]}
+    seen, place = _is_seen(belief), _place(belief)
+    begins = belief["goal"][1] == TABLE and belief["place"] is None and place is not None  # now there is room
+    times = {"sighted_s": time_s if seen else belief["sighted_s"], "since_s": time_s if begins else belief["since_s"]}
+    belief = {**belief, "place": place, **times}
     above = belief["place"] is not None and has_reached(belief, lifted(belief, belief["place"]))
     known = belief["sighted_s"] is not None and time_s - belief["sighted_s"] <= SIGHTED_S
     belief = steadied(belief, above and known, time_s)
@@ -247,11 +251,11 @@ def _after_retreat(belief: Value, time_s: float) -> Value:
     upper cubes put back."""
     if not has_reached(belief, up(belief)) and not is_late(belief, time_s):
         return belief
-    frees, asked = belief["frees"], belief["asked"]
-    if moves_aside(belief):
+    frees, asked, is_put = belief["frees"], belief["asked"], belief["put"] == belief["target"]
+    if is_put and moves_aside(belief):
         as_wished = asked in (belief["refused"], (belief["target"], TABLE))
         frees = None if as_wished and frees is None else belief["refused"][0]
-    elif belief["put"] == belief["target"]:
+    elif is_put:
         frees = None  # it is
     after = watching(belief, time_s)
     return after if frees is None or not is_move(asked) else {**after, "goal": (frees, TABLE), "frees": frees}

@@ -35,9 +35,9 @@ def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) 
     The belief: ``done``, how many interferences are over, and ``happened``, in how many of them a cube was gripped or
     moved; ``pause_s`` until the next one (None: it cannot begin yet). Of the present one: ``stops``, maps of `Stop`'s
     fields; ``hand`` (world_from_palm), ``velocity`` (6,), ``target`` (of the hand, as ``hand``), ``holds``
-    (palm_from_cube; None: nothing); ``touched``, whether it counts as happened, and ``from``, where each cube was when
-    it began, m; ``late_s``, how long the present stop takes longer than it should, and ``waited_s``, how long the hand
-    has let the gripper pass."""
+    (palm_from_cube; None: nothing); ``touched``, whether it counts as happened, also where the hand drew back after
+    that, to try again, and ``from``, where each cube was when it began, m; ``late_s``, how long the present stop takes
+    longer than it should, and ``waited_s``, how long the hand has let the gripper pass."""
     if not belief["stops"]:
         belief = _begun(belief, scene, names, interval_s)
         if not belief["stops"]:
@@ -93,8 +93,10 @@ def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:
     after = {**belief, "stops": left, "late_s": 0.0}
     if left:
         return after
-    happened = belief["happened"] + belief["touched"]
-    return {**after, "holds": None, "done": belief["done"] + stop.counts, "happened": happened, "pause_s": None}
+    after = {**after, "holds": None, "pause_s": None}
+    if not stop.counts:
+        return after
+    return {**after, "done": belief["done"] + 1, "happened": belief["happened"] + belief["touched"], "touched": False}
 
 
 def obstacles(belief: Value) -> tuple[Mapping[str, Any], ...]:
@@ -169,7 +171,6 @@ def _begun(belief: Value, scene: Scene, names: Sequence[str], interval_s: float)
     home = HOME_M * (1.0, side, 1.0)
     there = make_pose(np.eye(3), home)
     begun = {
-        "touched": False,
         "waited_s": 0.0,
         "from": {str(number): body["pose"][:3, 3] for number, body in scene.bodies.items()},
     }

@@ -63,8 +63,9 @@ def hangs(body: Body, others: Iterable[Body], between_m: Sequence[float] = ()) -
 
 
 def _overlapping(body: Body, others: Iterable[Body]) -> list[Body]:
-    """Those other bodies over which, or under which, the middle of a body is."""
-    return [other for other in others if other["id"] != body["id"] and _beside_m(body, other) < _extent_m(other)]
+    """Those other bodies over which, or under which, the middle of a body is, however they are turned."""
+    apart = [(other, _beside_m(body, other)) for other in others if other["id"] != body["id"]]
+    return [other for other, beside_m in apart if beside_m < _extent_m(other) * 0.5**0.5]  # half the diagonal
 
 
 def _is_odd(body: Body, known: Iterable[Body], lost_m: Sequence[float]) -> bool:

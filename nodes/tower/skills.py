@@ -162,7 +162,8 @@ def _with_goal(belief: Value, time_s: float) -> Value:
         return asked_anew({**belief, "goal": asked}, time_s)
     is_carried = belief["phase"] in (LIFT, CARRY) and moves and asked[0] == belief["target"]
     if is_carried and not moves_aside(belief):
-        return {**belief, "goal": asked, "place": None, "sighted_s": None}
+        since_s = time_s if belief["phase"] == CARRY else belief["since_s"]  # the hand has another way to go
+        return {**belief, "goal": asked, "place": None, "sighted_s": None, "since_s": since_s}
     return belief
 
 

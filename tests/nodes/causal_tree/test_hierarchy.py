@@ -40,6 +40,11 @@ def test_polytrees_hold_their_evidence() -> None:
     assert content["nodes"]["b"]["parameters"]["settle"] == 2
 
 
+def test_nodes_of_a_hierarchy_have_texts_as_ids() -> None:
+    with pytest.raises(NetworkError, match="node 1: a node of a hierarchy needs a text as its id"):
+        as_deployment([{"id": 1, "states": 2, "prior": [0.5, 0.5]}], [{}])
+
+
 @pytest.mark.parametrize(
     ("parts", "message"),
     [

@@ -49,6 +49,12 @@ def test_evidence_is_a_state_or_likelihoods(value: Any, vector: list[float]) -> 
     assert likelihoods(network, "rain", value).tolist() == vector
 
 
+@pytest.mark.parametrize(("value", "vector"), [(1, [1, 0]), (2, [0, 1]), ("2", [0, 1]), (0, [1, 0])])
+def test_a_number_that_is_a_state_s_name_means_that_state(value: Any, vector: list[float]) -> None:
+    network = network_from([{**RAIN[1], "states": ["1", "2"]}])
+    assert likelihoods(network, "rain", value).tolist() == vector
+
+
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [

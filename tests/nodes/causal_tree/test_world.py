@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hierax.nodes.causal_tree import EvidenceWorld, evidence_seen, posteriors, random_tree
@@ -22,6 +23,11 @@ def test_sets_are_shown_in_turn_each_for_a_while() -> None:
         beliefs.append(world.predict((), (), beliefs[-1]))
     assert [(each["set"], each["age"]) for each in beliefs] == [(0, 1), (0, 2), (1, 1), (1, 2), (2, 1), (2, 2), (0, 1)]
     assert [each["evidence"] for each in beliefs[::2]] == [{"rain": 1}, {"wet": (0.2, 0.8)}, {}, {"rain": 1}]
+
+
+def test_likelihoods_may_be_an_array() -> None:
+    world = EvidenceWorld(NETWORK, [{"wet": np.array([0.2, 0.8])}])
+    assert world.initial_belief()["evidence"] == {"wet": (0.2, 0.8)}
 
 
 def test_a_single_set_grows_old() -> None:

@@ -188,6 +188,15 @@ def test_what_is_there_is_not_written_over(made: Path, tmp_path: Path) -> None:
         export_rosbag(recording, bag, overwrite=True)
     with pytest.raises(DataError, match=r"mine.txt: has other files than a bag's"):
         export_rosbag(recording, bag / "mine.txt", overwrite=True)
+    (bag / "mine.txt").unlink()
+    (bag / "metadata.yaml").rename(tmp_path / "metadata.yaml")  # recordings alone, as far as one can see
+    with pytest.raises(DataError, match="bag: has other files than a bag's"):
+        export_rosbag(recording, bag, overwrite=True)
+    (tmp_path / "metadata.yaml").rename(bag / "metadata.yaml")
+    (bag / "other.mcap").touch()
+    with pytest.raises(DataError, match="bag: has other files than a bag's"):
+        export_rosbag(recording, bag, overwrite=True)
+    (bag / "mine.txt").touch()
     with pytest.raises(DataError, match=r"mine.txt/bag: cannot be written: (File exists|Not a directory)"):
         export_rosbag(recording, bag / "mine.txt" / "bag")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]

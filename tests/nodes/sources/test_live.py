@@ -87,6 +87,7 @@ def test_what_stalls_or_breaks_off_is_opened_again(caplog: pytest.LogCaptureFixt
             belief = follow(world, belief, shows=True)
             assert belief["stalls"] >= stalls >= 2
             assert belief["frame"] > frame
+            assert world._source()._fault == ""  # type: ignore[attr-defined]  # what is over explains no later stall
             number = shown(belief)
             assert number is not None
             assert last is not None

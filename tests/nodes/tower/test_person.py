@@ -11,8 +11,9 @@ import pytest
 from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M, gripper_down
 from hierax.nodes.picking.world import picture_and_hand_seen
-from hierax.nodes.tower.interferences import ACTS, FAST_M_S
-from hierax.nodes.tower.person import acted
+from hierax.nodes.tower.interferences import ACTS, FAST_M_S, HOME_M, Stop
+from hierax.nodes.tower.person import NOBODY, acted
+from hierax.nodes.tower.person import moved as after_frame
 from hierax.nodes.tower.world import TowerWorld
 from hierax.runtime.core.node import Tick
 from hierax.schemas.values import decode_value, encode_value
@@ -156,6 +157,18 @@ def test_a_hand_draws_back_where_the_gripper_comes_and_tries_again() -> None:
     assert belief["person"]["done"] == 0
     assert np.linalg.norm(belief["bodies"][3]["pose"][:3, 3] - cube[:3, 3]) < 0.003
     assert moved(moves_m(until_done(world, belief)))
+
+
+def test_what_is_tried_again_happens_once() -> None:
+    home = NOBODY["hand"]
+    ends = [Stop(HOME_M)._replace(counts=counts)._asdict() for counts in (False, True)]
+    tried, done = {**NOBODY, "touched": True, "stops": (ends[0],), "late_s": 9.0}, {"stops": (ends[1],), "late_s": 9.0}
+    back = after_frame(tried, home, np.zeros(6))
+    assert (back["done"], back["happened"]) == (0, 0)
+    over = after_frame({**back, **done}, home, np.zeros(6))
+    assert (over["done"], over["happened"]) == (1, 1)
+    again = after_frame({**over, **done}, home, np.zeros(6))
+    assert (again["done"], again["happened"]) == (2, 1)
 
 
 def test_a_hand_lets_the_gripper_pass_but_not_for_ever() -> None:
