@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from hierax.runtime.deployment.deployment import shipped
-from hierax.runtime.owner.roster_changes import ChangeError, apply
+from hierax.runtime.owner.roster_changes import ChangeError, next_roster
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 MIXING = "hierax.runtime.sim.nodes"
@@ -85,7 +85,7 @@ def random_deployment(rng: random.Random) -> dict[str, Any]:
     names = ["world", *(f"n{number:02}" for number in range(1, RANDOM_NODES))]
     roster = Roster("world", {"world": Reference(f"{MIXING}:MixingWorld", {"name": "world", "policies": 2})}, ())
     for name in names[1:]:
-        roster = apply(roster, mixing_node(rng, roster, name), roster.version + 1, lambda _: 0)
+        roster = next_roster(roster, mixing_node(rng, roster, name))
     return {"hierarchy": "random", "world": "world", **snippet(roster.nodes, roster.edges)}
 
 
@@ -132,7 +132,7 @@ def next_change(rng: random.Random, subject: Subject, first: Roster, roster: Ros
             else:
                 change = Replace(name, subject.other(rng, roster.nodes[name]))
         try:
-            after = apply(roster, change, roster.version + 1, lambda _: roster.version + 1)
+            after = next_roster(roster, change)
         except ChangeError:
             continue
         if len(after.nodes) > len(first.nodes) // 2:

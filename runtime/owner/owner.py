@@ -139,11 +139,10 @@ class Owner(OwnerPart):
             return  # asked twice
         if self._answers.owe_what_was_made(key):
             return
-        version = self.planning.highest + 1
         try:
             change = read_change(word.change)
             Allowance(self._policy.modules).check_all(change)
-            apply(self.members.roster, change, version, lambda _: version)
+            apply(self.members.roster, change, self.planning.highest + 1)
         except (HieraxError, SchemaError) as error:
             if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
                 self._effects.note(f"a change is refused: {error}")

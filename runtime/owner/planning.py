@@ -7,7 +7,7 @@ from dataclasses import replace
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.runtime.owner.members import Plan, Request, Stage
-from hierax.runtime.owner.roster_changes import Undo, apply, removed, touched
+from hierax.runtime.owner.roster_changes import Undo, apply, next_roster, removed, touched
 from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, State, Taken, TakeOver, Unchanged
 from hierax.schemas.roster import Detach, Replace, Roster
 
@@ -133,10 +133,10 @@ class Planning(OwnerPart):
         roster, along = self.members.roster, tuple[Request, ...]()
         try:
             if request is not None and undone:  # first, as what was replaced may stand on others than what replaces it
-                roster = apply(roster, request.change, version, lambda _: version)
+                roster = apply(roster, request.change, version)
             roster, along = self._without_lost(roster, request, undone)
             if request is not None and not undone:
-                roster = apply(roster, request.change, version, lambda _: version)
+                roster = apply(roster, request.change, version)
         except HieraxError as error:
             if request is not None and not along:  # else it may be done already when those are
                 self.withdraw(request, str(error))
@@ -164,7 +164,7 @@ class Planning(OwnerPart):
             if change.name not in lost or change.name not in roster.nodes or change.name == undone:
                 continue
             try:
-                smaller = apply(roster, change, roster.version + 1, lambda _: 0)
+                smaller = next_roster(roster, change)
             except HieraxError:
                 continue  # it is refused when its own turn comes
             roster = replace(smaller, version=roster.version)

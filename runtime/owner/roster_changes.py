@@ -3,7 +3,7 @@
 Every roster that comes out of here is valid as a deployment file's is, if the one that
 went in was; a change that would break it is refused in one line."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,26 +27,24 @@ class Undo:
     before: Roster  # the roster before it was replaced
 
 
-def apply(roster: Roster, change: Change | Undo, version: int, instances: Callable[[str], int]) -> Roster:
-    """The roster after a change; nodes that are neither new nor replaced keep their instances.
+def apply(roster: Roster, change: Change | Undo, version: int) -> Roster:
+    """The roster after a change, under a version that no roster of the run has had, also none that was only prepared.
 
-    `instances` gives a new instance number for the process of a node of that name; it is asked once for each node that
-    is attached or replaced, in name order. Numbers that any process of that name has had must not come again, also
-    after a detach. Raises `ChangeError` if it cannot be done; says why, and the nearest valid name."""
+    That version is the instance number of each node that is attached or replaced, so that no two processes of a node
+    have the same; all others keep theirs. Raises `ChangeError` if it cannot be done; says why, and the nearest valid
+    name."""
     if isinstance(change, Attach):
-        return _attach(roster, change, version, instances)
+        return _attach(roster, change, version)
     if isinstance(change, Detach):
         return _detach(roster, change, version)
     if isinstance(change, Undo):
         return _undo(roster, change, version)
-    return _replace(roster, change, version, instances)
+    return _replace(roster, change, version)
 
 
 def next_roster(roster: Roster, change: Change | Undo) -> Roster:
-    """The roster after a change, under the next version, which new processes have as their instance; raises as `apply`
-    does."""
-    version = roster.version + 1
-    return apply(roster, change, version, lambda _: version)
+    """The roster after a change, under the next version; raises as `apply` does."""
+    return apply(roster, change, roster.version + 1)
 
 
 def touched(old: Roster, new: Roster) -> frozenset[str]:
@@ -63,7 +61,7 @@ def removed(old: Roster, new: Roster) -> frozenset[str]:
     return frozenset(old.nodes.keys() - new.nodes.keys())
 
 
-def _attach(roster: Roster, change: Attach, version: int, instances: Callable[[str], int]) -> Roster:
+def _attach(roster: Roster, change: Attach, version: int) -> Roster:
     what = f"cannot attach {_list(change.nodes)}" if change.nodes else "cannot attach"
     if not change.nodes:
         raise ChangeError(f"{what}: no node is given")
@@ -79,7 +77,7 @@ def _attach(roster: Roster, change: Attach, version: int, instances: Callable[[s
             raise ChangeError(f"{what}: edge {edge.name} joins two other nodes; it must join one that is attached")
     edges = (*roster.edges, *change.edges)
     _check_hierarchy(roster.world, nodes, edges, what)
-    new = {name: instances(name) for name in sorted(change.nodes)}
+    new = dict.fromkeys(sorted(change.nodes), version)
     return _with_timing(roster, _successor(roster, version, nodes, edges, new, change.turns), change.nodes.keys(), what)
 
 
@@ -103,7 +101,7 @@ def _detach(roster: Roster, change: Detach, version: int) -> Roster:
     return _with_timing(roster, _successor(roster, version, nodes, edges, {}), (), what)
 
 
-def _replace(roster: Roster, change: Replace, version: int, instances: Callable[[str], int]) -> Roster:
+def _replace(roster: Roster, change: Replace, version: int) -> Roster:
     name = change.name
     what = f"cannot replace {name!r}"
     _check_known(name, roster, what)
@@ -121,7 +119,7 @@ def _replace(roster: Roster, change: Replace, version: int, instances: Callable[
     nodes = {**roster.nodes, name: change.reference}
     _check_hierarchy(roster.world, nodes, edges, what)
     turns = {} if change.turns is None else {name: change.turns}
-    after = _successor(roster, version, nodes, edges, {name: instances(name)}, turns)
+    after = _successor(roster, version, nodes, edges, {name: version}, turns)
     return _with_timing(roster, after, (), what)
 
 
@@ -145,9 +143,6 @@ def _successor(
 ) -> Roster:
     if version <= roster.version:
         raise ValueError(f"roster version {version} does not follow {roster.version}")
-    for name, instance in instances.items():
-        if name in roster.nodes and instance <= roster.instance(name):
-            raise ValueError(f"{name}: instance {instance} does not follow {roster.instance(name)}")
     kept = {name: number for name, number in roster.instances.items() if name in nodes}
     ordered = tuple(sorted(edges, key=lambda edge: edge.pair))
     then = {name: each for name, each in {**roster.turns, **turns}.items() if name in nodes and each != EVERY_EPOCH}
