@@ -139,7 +139,7 @@ class Arrivals(OwnerPart):
                 del self.members.newcomers[name, key]
                 plan = self.planning.plan
                 if plan is not None and name in plan.back:
-                    self.planning.redo(plan)
+                    self.planning.redo()
                 self.members.send_away(name, process, why)
 
     def _on_back(self, word: Join) -> None:

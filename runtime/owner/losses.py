@@ -52,8 +52,7 @@ class Losses(OwnerPart):
         members.failures[name] = word.why
         if name not in members.lost:
             members.lose(name)
-            if self.planning.plan is not None:
-                self.planning.redo(self.planning.plan)
+            self.planning.redo()
         self._effects.note(f"{word.why}; {name} is detached (on_loss)")
         self.planning.ask(Request("", Detach(name, cascade=True), self._clock()))
 
@@ -61,8 +60,7 @@ class Losses(OwnerPart):
         """What replaces another node has failed in its first epoch."""
         self.members.failures[name] = why
         self._effects.note(f"{why}; what {name} has replaced goes on")
-        if self.planning.plan is not None:
-            self.planning.redo(self.planning.plan)
+        self.planning.redo()
         self.planning.ask(Request("", Undo(name, before), self._clock()))
 
     def tick(self) -> None:
@@ -95,14 +93,13 @@ class Losses(OwnerPart):
         if members.processes.get(name) != process:
             plan = planning.plan
             if plan is not None and plan.processes.get(name) == process:
-                planning.redo(plan)
+                planning.redo()
                 planning.go_on()
             return
         if name not in members.lost:
             self._effects.note(f"{name}: its process is lost in epoch {self.progress.epoch + 1}")
             members.lose(name)
-            if planning.plan is not None:
-                planning.redo(planning.plan)
+            planning.redo()
         if not restarts:
             self._give_up(name, "its process is lost and is not started again")
         planning.reconsider()
@@ -118,7 +115,7 @@ class Losses(OwnerPart):
     def _on_newcomer_lost(self, key: str, name: str) -> None:
         planning = self.planning
         if planning.plan is not None and planning.plan.is_for(name, key):
-            planning.redo(planning.plan)
+            planning.redo()
         request = planning.queued(key)
         if request is not None:
             planning.withdraw(request, f"the process of {name} died")

@@ -294,12 +294,14 @@ class Planning(OwnerPart):
     def end_trial(self) -> None:
         """The first epoch of what replaces another node is committed."""
         if self.members.end_trial() and self.plan is not None and self.plan.urgent:
-            self.redo(self.plan)  # it says that the node is tried still
+            self.redo()  # it says that the node is tried still
             self.reconsider()
 
-    def redo(self, plan: Plan) -> None:
-        """Plan anew, as a process died meanwhile."""
-        self.plan = None
+    def redo(self) -> None:
+        """Plan anew, where there is a plan, as a process died meanwhile."""
+        plan, self.plan = self.plan, None
+        if plan is None:
+            return
         self.queue.extendleft(reversed(plan.along))
         request = plan.request
         if request is not None:
