@@ -24,12 +24,13 @@ from cad import read_cao, read_vrml
 
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.bop import read_results
+from hierax.nodes.tracking.datasets.bop_json import pose_entry
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.evaluation.scoring import object_errors, score, table
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.scenes import model_info, start_error, write_json
 from hierax.nodes.tracking.math.geometry import Floats, invert, orthonormal
-from hierax.nodes.tracking.model.files import BOP_UNIT_M, write_ply
+from hierax.nodes.tracking.model.files import write_ply
 from hierax.nodes.tracking.model.mesh import Mesh
 
 PACKAGE_FOLDER = Path("/usr/share/visp-images-data/ViSP-images/mbt-depth/Castle-simu")
@@ -97,9 +98,10 @@ def convert(images: Path, out: Path, known: bool = True, wrong: int | None = Non
         rng = np.random.default_rng(wrong)
         start = [pose @ start_error(rng) for pose in start]
         path = reported_path(path, rng)
+    seen_by = [pose_entry(invert(camera), "cam_R_w2c", "cam_t_w2c") if known else {} for camera in path]
     cameras = {
-        str(number): {"cam_K": list(CAMERA_MATRIX), "depth_scale": 1.0, **(_seen_by(camera) if known else {})}
-        for number, camera in zip(numbers, path, strict=True)
+        str(number): {"cam_K": list(CAMERA_MATRIX), "depth_scale": 1.0, **entry}
+        for number, entry in zip(numbers, seen_by, strict=True)
     }
     write_json(scene / "scene_camera.json", cameras)
     write_json(scene / "scene_gt.json", {str(numbers[0]): _objects(start)})
@@ -159,19 +161,7 @@ def _write_models(folder: Path, meshes: list[Mesh]) -> None:
 
 
 def _objects(poses: list[Floats]) -> list[dict[str, Any]]:
-    return [
-        {
-            "cam_R_m2c": pose[:3, :3].ravel().tolist(),
-            "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(),
-            "obj_id": number,
-        }
-        for number, pose in enumerate(poses, start=1)
-    ]
-
-
-def _seen_by(camera: Floats) -> dict[str, Any]:
-    pose = invert(camera)
-    return {"cam_R_w2c": pose[:3, :3].ravel().tolist(), "cam_t_w2c": (pose[:3, 3] / BOP_UNIT_M).tolist()}
+    return [{**pose_entry(pose), "obj_id": number} for number, pose in enumerate(poses, start=1)]
 
 
 if __name__ == "__main__":
