@@ -31,16 +31,12 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
         """Of which slots what counts has not come: by slot, the epoch that counts; 0: nothing does yet."""
         return [slot for slot, epoch in counting.items() if epoch and epoch not in self[slot]]
 
-    def forget(self, slot: Slot, before: int) -> None:
-        """Those of the epochs before this one count no more."""
-        drop_before(self[slot], before)
-
     def only(self, since: Mapping[Slot, int]) -> None:
         """Nothing is kept of other slots, nor what is of an epoch before these."""
         for slot in [slot for slot in self if slot not in since]:
             del self[slot]
         for slot, epoch in since.items():
-            self.forget(slot, epoch)
+            drop_before(self[slot], epoch)
 
     def taken(self, slots: Iterable[Slot], epoch: int) -> dict[Slot, Message]:
         """What counts in this epoch alone; nothing of those before it counts any more."""

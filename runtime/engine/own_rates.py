@@ -16,9 +16,9 @@ class OwnRates:
         node = wiring.node
         name = self._name = node.name
         self.passes = rates.passes(name)  # the epochs of which it is told
-        self._above = {slot: rates.edge(name, slot[0]) for slot in wiring.above}
-        self._at_once = set(self._above.values()) <= {EdgeRates(1, 0, 0)}
-        self._below = {lower: rates.edge(lower, name) for lower in node.below}
+        self.above = {slot: rates.edge(name, slot[0]) for slot in wiring.above}  # when what comes of it counts
+        self._at_once = set(self.above.values()) <= {EdgeRates(1, 0, 0)}
+        self.below = {lower: rates.edge(lower, name) for lower in node.below}  # when context counts there
         self._told = tuple((upper, rates.passes(upper)) for upper in node.above)
         since = rates.timing.since
         turns = {each: rates.turns_of(each) for each in (name, *node.above)}
@@ -42,16 +42,8 @@ class OwnRates:
     def counting(self, epoch: int) -> dict[Slot, int]:
         """By slot, the epoch whose input from above counts in a turn of the node; 0: there is none yet."""
         if self._at_once:
-            return dict.fromkeys(self._above, epoch)
-        return {slot: edge.in_force(epoch) for slot, edge in self._above.items()}
-
-    def oldest(self, slot: Slot, epoch: int) -> int:
-        """The epoch whose input counts in the one of a slot that is reached."""
-        return self._above[slot].in_force(epoch)
-
-    def counts_below(self, lower: str, epoch: int) -> int:
-        """The epoch of the node whose context counts at a neighbour below in this one; 0: there is none yet."""
-        return self._below[lower].in_force(epoch)
+            return dict.fromkeys(self.above, epoch)
+        return {slot: edge.in_force(epoch) for slot, edge in self.above.items()}
 
     def told_above(self, epoch: int) -> frozenset[str]:
         """Which neighbours above pass an epoch that is not drained."""

@@ -13,7 +13,7 @@ from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.engine.coming import ComingEpochs
 from hierax.runtime.engine.effects import EngineEffects, Saved
-from hierax.runtime.engine.kept import KeptMessages
+from hierax.runtime.engine.kept import KeptMessages, drop_before
 from hierax.runtime.engine.own_rates import OwnRates
 from hierax.runtime.engine.said import SaidMessages
 from hierax.runtime.engine.saying import SayingEngine
@@ -273,7 +273,7 @@ class RatedEngine(SayingEngine):
         epoch = header.epoch
         if slot in self.wiring.below:
             return self._coming.include(epoch, DRAIN in header.extensions)
-        return epoch >= self._own.oldest(slot, self.epoch)
+        return epoch >= self._own.above[slot].in_force(self.epoch)
 
     # --- what can be done with it
 
@@ -404,7 +404,7 @@ class RatedEngine(SayingEngine):
         for slot, oldest in self._counting.items():
             inbox[slot] = self._in_force(slot)
             if len(self._kept[slot]) > 1:
-                self._kept.forget(slot, oldest)
+                drop_before(self._kept[slot], oldest)
         super()._predict()
 
     def _extensions(self, kind: str) -> Mapping[str, Value]:

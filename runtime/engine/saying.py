@@ -78,7 +78,7 @@ class SayingEngine(Engine):
         """What its sender will not ask for any more."""
         peer = header.sender
         if header.kind == OBSERVATIONS:
-            oldest = self._own.counts_below(peer, header.epoch)
+            oldest = self._own.below[peer].in_force(header.epoch)
             for kind in (TASKS, CONTEXT) if self.wiring.task else (CONTEXT,):
                 self._unheard.forget(peer, kind, oldest, header.instance)
         elif header.kind == CONTEXT and self._own.takes_part(peer, header.epoch):
