@@ -17,7 +17,7 @@ from hierax.runtime.engine.kept import KeptMessages, drop_before
 from hierax.runtime.engine.own_rates import OwnRates
 from hierax.runtime.engine.said import SaidMessages
 from hierax.runtime.engine.saying import SayingEngine
-from hierax.runtime.engine.table import ACTIONS, EPOCHS_AHEAD, ROSTERS_AHEAD, Action, Phase, Verdict
+from hierax.runtime.engine.table import ACTIONS, EPOCHS_AHEAD, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
 from hierax.schemas.errors import SchemaError
@@ -256,9 +256,7 @@ class RatedEngine(SayingEngine):
                 self._check_same(known, message)
 
     def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
-        if attempt != 0 or roster - self._roster > ROSTERS_AHEAD:
-            return True
-        return epoch - self.epoch > self._epochs_ahead and not self._joins
+        return attempt != 0 or super().is_ahead(epoch, attempt, roster)
 
     def _takes_up(self, header: Header) -> bool:
         """Whether its roster is at hand, and it comes from a neighbour that has taken that up: so it is in force."""
