@@ -65,7 +65,7 @@ class Requests:
     ``{"ask": "record", "pid"}`` says that a process, 0 for one on another machine, is about to record; the answer is
     the fields of a `RunInfo`, and of an `Access`."""
 
-    def __init__(self, processes: RosterSupervisor, audit: Audit | None = None) -> None:
+    def __init__(self, processes: RosterSupervisor, audit: Audit) -> None:
         self._processes = processes
         self._audit = audit  # what is told of changes, made and refused
         self._changes = processes.changes
@@ -146,18 +146,13 @@ class Requests:
         try:
             change = read_change(query.get("change"))
         except SchemaError as error:
-            if self._audit is not None:
-                self._audit.refused(str(error), asker(query))
+            self._audit.refused(str(error), asker(query))
             raise
         try:
             return await self._begin_if_room(change, query)
         except (HieraxError, SchemaError) as error:
-            self._settled(change, asker(query), {"refusal": str(error)})
+            self._audit.settled(change, asker(query), {"refusal": str(error)})
             raise
-
-    def _settled(self, change: Change, by: str, answer: Mapping[str, Value]) -> None:
-        if self._audit is not None:
-            self._audit.settled(change, by, answer)
 
     async def _begin_if_room(self, change: Change, query: dict[str, Any]) -> Value:
         new = len(new_nodes(change))
@@ -196,7 +191,7 @@ class Requests:
             {name: float(each.rejoin_timeout_s) for name, each in terms.items()},
             tuple(sorted(name for name, each in terms.items() if each.fails_alone)),
         )
-        self._changes.add(proposal, terms, partial(self._settled, change, asker(query)))
+        self._changes.add(proposal, terms, partial(self._audit.settled, change, asker(query)))
         orders = [
             processes.orders.order(
                 name, new_process(name), NEWCOMER, request=request, reference=reference, terms=terms[name]

@@ -8,6 +8,7 @@ import pytest
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.staleness import BARRIER, Staleness
+from hierax.runtime.launch.audit import Audit
 from hierax.runtime.launch.pending_changes import PendingChanges
 from hierax.runtime.launch.requests import CHANGES, Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
@@ -43,7 +44,9 @@ def asked(terms: dict[str, Any], name: str = "big", staleness: Staleness = BARRI
     )
     change = Replace(name, Reference("hierax.runtime.sim.nodes:Mixer", {}))
     query = {"ask": "change", "change": change.plain(), "terms": {name: terms}}
-    return anyio.run(Requests(cast(RosterSupervisor, fake))._answer, CHANGES, query), done
+    audit = SimpleNamespace(settled=lambda change, by, answer: None)
+    requests = Requests(cast(RosterSupervisor, fake), cast(Audit, audit))
+    return anyio.run(requests._answer, CHANGES, query), done
 
 
 def test_the_owner_hears_of_a_change_before_any_process_comes_for_it() -> None:
