@@ -74,13 +74,13 @@ class NodeWorker:
     """Takes one node from its order to its report. `status`: file descriptor on which the supervisor listens."""
 
     def __init__(self, order: frames.NodeOrder, status: int, wait: Waiter, home: ProcessHome) -> None:
-        self.order = self._order = order  # from the supervisor
+        self.order = order  # from the supervisor
         self._keys = Keys(order.deployment, order.run)
         self._home = home  # the process, which may have other nodes
         self._wait = wait  # drives async operators
         self._stopping = threading.Event()
-        self._pipe = frames.SupervisorPipe(status, self._stopping.set, order.process, home.saying)
-        self._kept = None if order.slots is None else KeptElsewhere(order.slots, self._pipe)
+        self.pipe = frames.SupervisorPipe(status, self._stopping.set, order.process, home.saying)  # to the supervisor
+        self._kept = None if order.slots is None else KeptElsewhere(order.slots, self.pipe)
         self._port: ZenohPort | None = None
         self._declared: list[ControlLine | StepPublisher | InspectionEndpoint] = []
         self._moved: list[ControlLine | InspectionEndpoint | EpochPublisher] = []  # with the port, to another session
@@ -138,14 +138,9 @@ class NodeWorker:
             self._kept.kept(number)
 
     @property
-    def pipe(self) -> frames.SupervisorPipe:
-        """What leads to the supervisor."""
-        return self._pipe
-
-    @property
     def log(self) -> logging.Handler | None:
         """What takes the process's log, where the supervisor is on another host; None: a file here."""
-        return None if self._kept is None else ToldRecords(self._pipe)
+        return None if self._kept is None else ToldRecords(self.pipe)
 
     def move(self, session: Any, timeout_s: float) -> bool:
         """Have the node go on in another session, between two messages; whether it has before a time is over."""
@@ -180,11 +175,11 @@ class NodeWorker:
         if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
             self._say(member.status(control.inquiry, self.busy()))
         elif not self._words.put(control, size):
-            _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
+            _log.warning("%s: dropped %s: too much waits", self.order.name, type(control).__name__)
 
     def tick(self) -> None:
         if time.monotonic() - self._opens_s > OPENS_S:
-            _log.error("%s: Zenoh has hung for %g s; the process ends itself", self._order.name, OPENS_S)
+            _log.error("%s: Zenoh has hung for %g s; the process ends itself", self.order.name, OPENS_S)
             os.kill(os.getpid(), signal.SIGKILL)
         member = self._member
         if self._inspection is not None:
@@ -203,7 +198,7 @@ class NodeWorker:
     @property
     def period_s(self) -> float | None:
         """In free running, from one turn to the next; None: as it can."""
-        order = self._order
+        order = self.order
         return None if order.rate_hz is None or order.staleness is not None else 1 / order.rate_hz
 
     def greet(self) -> None:
@@ -213,7 +208,7 @@ class NodeWorker:
             port.relieve()
             port.greet()
             for process in port.absent.due():
-                self._pipe.say(frames.MISSES, process=process)
+                self.pipe.say(frames.MISSES, process=process)
 
     def close(self) -> None:
         """Close the port, when no other thread uses it any more; where nodes share the session, all that is theirs."""
@@ -228,23 +223,23 @@ class NodeWorker:
         """Leave a process in which others go on, with an exit code of its own."""
         self.close()
         self._inspection = self._member = self._loop = None
-        self._pipe.say(frames.ENDED, code=code)
+        self.pipe.say(frames.ENDED, code=code)
 
     # --- the node's thread
 
     def run(self) -> int:
         """Do all of it, and return the exit code of the process."""
         self._thread = threading.get_ident()
-        NODE.set(self._order.name)
+        NODE.set(self.order.name)
         try:
             return self._load_and_run()
         except (HieraxError, SchemaError) as error:
             place = error.where if isinstance(error, LoadError) else ""
             message = str(error)
             if isinstance(error, (TransportError, SchemaError)):  # the others name the node themselves
-                message = f"{self._order.name}: {message.removeprefix(f'{self._order.name}: ')}"
+                message = f"{self.order.name}: {message.removeprefix(f'{self.order.name}: ')}"
             _log.error("%s", message, exc_info=True, extra=QUIET)
-            self._pipe.say(
+            self.pipe.say(
                 frames.FAILED,
                 message=message.encode(errors="backslashreplace").decode(),
                 where=place,
@@ -253,7 +248,7 @@ class NodeWorker:
             return 1
 
     def _load_and_run(self) -> int:
-        order = self._order
+        order = self.order
         setting = OperatorSetting(order.seed, self._wait, self._empty)
         loader = NodeLoader(order.name, setting, order.allowance)
         with self._home.loading:
@@ -274,7 +269,7 @@ class NodeWorker:
             endpoint = self._declare(session, keys, most_bytes)
         port.heard = lambda: self._publisher.heard
         self._opens_s = inf
-        observers, slots = open_observers(order, self._pipe), open_slots(order, self._kept)
+        observers, slots = open_observers(order, self.pipe), open_slots(order, self._kept)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(observers, True)
         self._budget = open_budget(order, lambda: observers.engine)
@@ -294,7 +289,7 @@ class NodeWorker:
                 with self._home.declaring:
                     publish = EpochPublisher(session, keys)
                 self._moved.append(publish)
-                pacemaker = pacemaker_of(order, publish, self._pipe)
+                pacemaker = pacemaker_of(order, publish, self.pipe)
                 member = self._begin_world(order.owner, seat, port, slots, pacemaker)
             else:
                 member = self._begin(seat, port, slots)
@@ -310,7 +305,7 @@ class NodeWorker:
 
     def _declare(self, session: Any, keys: Keys, most_bytes: int | None) -> InspectionEndpoint:
         """What others than neighbours say to the node and hear of it."""
-        order = self._order
+        order = self.order
         is_world = order.owner is not None
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
         self._line = ControlLine(session, keys.control(order.process), offered, self.hear, most_bytes)
@@ -334,9 +329,9 @@ class NodeWorker:
             self._witness.resume()
             observers.watch(self._witness)
         elif wanted:
-            is_world = self._order.owner is not None
+            is_world = self.order.owner is not None
             told, roster = self._publisher, self._roster if is_world else None
-            self._witness = Witness(self._order.name, lambda: observers.engine, told.step, told.roster, roster)
+            self._witness = Witness(self.order.name, lambda: observers.engine, told.step, told.roster, roster)
             observers.watch(self._witness)
 
     def _timing(self) -> dict[str, Value]:
@@ -354,7 +349,7 @@ class NodeWorker:
 
     def _begin(self, seat: Seat, port: ZenohPort, slots: Slots) -> Member:
         """Come into the run; the member has a part in it where `_member` is set."""
-        order = self._order
+        order = self.order
         member = Member(seat, self._say, Checkpoints(slots))
         if order.life == frames.TO_REPORT and order.roster is not None:
             member.recall(seat.wire(order.roster))
@@ -367,7 +362,7 @@ class NodeWorker:
         else:
             member.join(order.request)
             port.absent.waits(order.process)
-        self._pipe.say(frames.UP)
+        self.pipe.say(frames.UP)
         self._member = member
         return member
 
@@ -375,17 +370,17 @@ class NodeWorker:
         self, policy: OwnerPolicy, seat: Seat, port: ZenohPort, slots: Slots, pacemaker: Pacemaker
     ) -> Member | None:
         """Begin the run, or go on with it; None: it was stopped before."""
-        order, processes, roster = self._order, self._order.processes, None
+        order, processes, roster = self.order, self.order.processes, None
         if order.life == frames.BEGIN and order.roster is not None:
             roster = order.roster
             if not self._connect(port, seat.wire(roster)):
                 return None
-            self._pipe.say(frames.UP)
+            self.pipe.say(frames.UP)
             told = self._until_told(port)
             if told is None:
                 return None
             processes = {**told, order.name: order.process}
-        parts = (seat, self._send_order, self._pipe, slots, pacemaker, policy, SteadyClock(), processes, roster)
+        parts = (seat, self._send_order, self.pipe, slots, pacemaker, policy, SteadyClock(), processes, roster)
         pauses = order.staleness is not None  # in free running it has turns
         world = self._world = WorldMember(*parts, on_uncertain_act=order.on_uncertain_act, pauses=pauses)
         last = pacemaker.chain
@@ -395,19 +390,19 @@ class NodeWorker:
         if order.life != frames.BEGIN:
             for proposal in order.proposals:
                 world.hear(decode_control(proposal))
-            self._pipe.say(frames.UP)
+            self.pipe.say(frames.UP)
         self._member = world.member
         return world.member
 
     def _send_order(self, process: str, word: Order) -> None:
         if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
-            self._pipe.dismiss(process, word)
+            self.pipe.dismiss(process, word)
         else:
             self._line.send(self._keys.control(process), word)
 
     def _say(self, word: Control) -> None:
         """Tell the owner something."""
-        self._line.send(self._keys.words(self._order.name), word)
+        self._line.send(self._keys.words(self.order.name), word)
 
     def _connect(self, port: ZenohPort, wiring: Wiring) -> bool:
         """Open the links to the neighbours; whether that was before the run was stopped."""
@@ -428,14 +423,14 @@ class NodeWorker:
             try:
                 port.receive()
             except SchemaError as error:
-                _log.warning("%s: dropped what is no message of ours: %s", self._order.name, error)
+                _log.warning("%s: dropped what is no message of ours: %s", self.order.name, error)
         return None
 
     def _run(self, member: Member, port: ZenohPort) -> None:
-        order, world = self._order, self._world
+        order, world = self.order, self._world
         if order.scheduling is not None:
             ask_scheduler(order.name, **order.scheduling)
-        watch = None if world is None else WorldWatch(order, self._pipe, world, self.busy)
+        watch = None if world is None else WorldWatch(order, self.pipe, world, self.busy)
         self._loop = loop = NodeLoop(order, member, watch, port, self._words, self._stopping)
         loop.run()
         if not (self.hurried or member.dismissed):
@@ -444,7 +439,7 @@ class NodeWorker:
     def _part(self, member: Member | None) -> int:
         if member is not None and member.dismissed:
             _log.info("%s", member.dismissed)
-            self._pipe.say(frames.CUT_OFF if member.again else frames.DISMISSED, why=member.dismissed)
+            self.pipe.say(frames.CUT_OFF if member.again else frames.DISMISSED, why=member.dismissed)
             return int(member.again)
         if self.hurried:
             return 1  # the run is not over: the node is lost, and has nothing to report
@@ -459,7 +454,7 @@ class NodeWorker:
         if pacemaker is not None:
             chain, times = pacemaker.chain, pacemaker.times
             fields["run"] = [chain.epoch, chain.digest, times.wall_s, times.took_s.numbers()]
-        self._pipe.say(frames.REPORT, **fields, timing=self._timing())
+        self.pipe.say(frames.REPORT, **fields, timing=self._timing())
         return 0
 
     def _wake(self) -> None:
