@@ -20,18 +20,8 @@ import anyio.abc
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.fork_server import ForkServer
-from hierax.runtime.launch.frames import (
-    CUT_OFF,
-    DISMISSED,
-    FAILED,
-    READ_BYTES,
-    RENEW,
-    RENEWED,
-    REPORT,
-    UP,
-    NodeOrder,
-    frame,
-)
+from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, RENEW, RENEWED, REPORT, UP, NodeOrder, frame
+from hierax.runtime.launch.pipes import READ_BYTES
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
 from hierax.runtime.watch.refused import RefusedLinks, plain, tell_all

@@ -19,20 +19,10 @@ from hierax.runtime.execution.output_folder import Log, digest_log, state_log
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.launch.child import Child, Overheard, Overhearing
-from hierax.runtime.launch.frames import (
-    APPEND,
-    BEGIN,
-    KEEP,
-    KEPT,
-    LOG,
-    STATES,
-    NodeOrder,
-    frame,
-    read_some,
-    write_whole,
-)
+from hierax.runtime.launch.frames import APPEND, BEGIN, KEEP, KEPT, LOG, STATES, NodeOrder, frame
 from hierax.runtime.launch.keeper import BEAT_S
 from hierax.runtime.launch.keeper_link import Greeting, KeeperLink
+from hierax.runtime.launch.pipes import read_some, write_whole
 from hierax.runtime.recovery.disk import SLOTS, MappedFile
 from hierax.runtime.watch.logs import ForwardedLog
 from hierax.schemas.errors import SchemaError

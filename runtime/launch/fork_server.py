@@ -15,6 +15,7 @@ import anyio
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import python_module, started_deaf
+from hierax.runtime.launch.pipes import read_some, write_whole
 
 FORKING = "hierax.runtime.launch.forking"
 UNKNOWN = 255  # the exit code where nobody can tell it any more
@@ -22,7 +23,6 @@ NUMBER = struct.Struct("<q")  # of a process, or its exit code, negative for a s
 FORK = b"f"
 DESCRIPTORS = 5  # that go with it: life, orders, status, what is printed, console
 
-_READ_BYTES = 1 << 16
 _TRIES = 3
 _END_S = 2.0
 
@@ -155,13 +155,8 @@ class ForkedProcess:
 
     async def send(self, data: bytes) -> None:
         """Write to what it reads. Raises OSError: it does not read any more."""
-        left = memoryview(data)
         async with self._sending:
-            while left:
-                try:
-                    left = left[os.write(self._orders, left) :]
-                except BlockingIOError:  # noqa: PERF203 - it is full now and then
-                    await anyio.wait_writable(self._orders)
+            await write_whole(self._orders, data)
 
     def send_signal(self, number: int) -> None:
         """Send it a signal, unless it has ended."""
@@ -171,11 +166,7 @@ class ForkedProcess:
 
     async def said(self) -> AsyncIterator[bytes]:
         """What it writes, as it comes, until nobody can write there any more."""
-        while True:
-            await anyio.wait_readable(self._told)
-            data = os.read(self._told, _READ_BYTES)
-            if not data:
-                return
+        while data := await read_some(self._told):
             yield data
 
     def close(self) -> None:

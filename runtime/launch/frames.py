@@ -10,16 +10,14 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from secrets import token_hex
 
-import anyio
-
 from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
 from hierax.runtime.host.run_secret import end_of, issued
+from hierax.runtime.launch.pipes import read_some
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.owner.owner import Owner
@@ -32,8 +30,6 @@ from hierax.schemas.keys import process_token
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.roster import ProbeSpec, Reference, Roster
 from hierax.schemas.values import Value, decode_value, encode_value
-
-READ_BYTES = 1 << 16  # at once, of a pipe
 
 _LENGTH = struct.Struct("<I")
 
@@ -165,23 +161,6 @@ class NodeOrder:
         access = None if value["access"] is None else Access.read(value["access"])
         read = {"access": access, "roster": roster, "probes": probes, "owner": owner, "slots": slots}
         return NodeOrder(**{**value, **read})
-
-
-async def read_some(descriptor: int) -> bytes:
-    """What comes next of a pipe, whether that blocks or not; nothing at its end."""
-    while True:
-        await anyio.wait_readable(descriptor)
-        with suppress(BlockingIOError):
-            return os.read(descriptor, READ_BYTES)
-
-
-async def write_whole(descriptor: int, data: bytes) -> None:
-    """Write all of it to a pipe that does not block."""
-    left = memoryview(data)
-    while left:
-        await anyio.wait_writable(descriptor)
-        with suppress(BlockingIOError):
-            left = left[os.write(descriptor, left) :]
 
 
 def frame(value: Value) -> bytes:

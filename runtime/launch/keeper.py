@@ -38,8 +38,9 @@ from hierax.runtime.host.installed import installed_digest, installed_version
 from hierax.runtime.host.streams import own_input, own_output
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, start_process
 from hierax.runtime.launch.fork_server import ForkServer
-from hierax.runtime.launch.frames import Frames, NodeOrder, frame, next_frames, write_whole
+from hierax.runtime.launch.frames import Frames, NodeOrder, frame, next_frames
 from hierax.runtime.launch.keeper_link import MARK
+from hierax.runtime.launch.pipes import write_whole
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
 from hierax.schemas.values import Value
 

@@ -20,7 +20,8 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import Host
 from hierax.runtime.host.installed import installed_digest, installed_version
 from hierax.runtime.host.streams import python_module
-from hierax.runtime.launch.frames import READ_BYTES, Frames
+from hierax.runtime.launch.frames import Frames
+from hierax.runtime.launch.pipes import READ_BYTES
 from hierax.schemas.errors import SchemaError
 
 KEEPER = "hierax.runtime.launch.keeper"
