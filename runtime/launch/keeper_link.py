@@ -103,7 +103,7 @@ class KeeperLink:
         while time.monotonic() < patience_s:
             ready, _, _ = select.select([self.words, self.errors], [], [], max(patience_s - time.monotonic(), 0.0))
             if self.errors in ready:
-                self._said = (self._said + self._read(self.errors))[-READ_BYTES:]
+                self.heard(self._read(self.errors))
             if self.words not in ready:
                 continue
             data = self._read(self.words)
@@ -130,8 +130,7 @@ class KeeperLink:
         """Why there is no keeper."""
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(END_S)
-        while data := self._read(self.errors):
-            self._said += data
+        self._drain()
         code, text = self.process.returncode, self._said.decode(errors="replace")
         python = self.host.python
         if code == UNREACHED:
@@ -151,6 +150,10 @@ class KeeperLink:
         lines = [line.strip() for line in self._said.decode(errors="replace").splitlines() if line.strip()]
         return f": {lines[-1]:.200}" if lines else ""
 
+    def _drain(self) -> None:
+        while data := self._read(self.errors):
+            self.heard(data)
+
     def _read(self, descriptor: int) -> bytes:
         try:
             return os.read(descriptor, READ_BYTES)
@@ -160,8 +163,7 @@ class KeeperLink:
     @property
     def last_line(self) -> str:
         """What `ssh` has said last, when it has ended."""
-        while data := self._read(self.errors):
-            self._said += data
+        self._drain()
         return self._last()
 
     def heard(self, data: bytes) -> None:
