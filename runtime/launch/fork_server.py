@@ -9,7 +9,6 @@ import struct
 import subprocess
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, suppress
-from types import TracebackType
 
 import anyio
 
@@ -83,9 +82,7 @@ class ForkServer:
     def __enter__(self) -> "ForkServer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     async def _forked(self, printed: int, console: int) -> "ForkedProcess | None":

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, NamedTuple, cast
 
 from hierax.runtime.core.elements import Value
@@ -67,9 +66,7 @@ class Run(ABC):
     def __enter__(self) -> "Run":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     @abstractmethod
