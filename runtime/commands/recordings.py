@@ -41,9 +41,8 @@ def claimed_file(path: Path | None, overwrite: bool) -> "AbstractContextManager[
     """Have the file of a recording, where one is wanted, before anything starts. Raises as `writing.claimed` does."""
     if path is None:
         return nullcontext()
-    from hierax.runtime.recording.writing import claimed, require_mcap
+    from hierax.runtime.recording.writing import claimed
 
-    require_mcap()
     return claimed(path, overwrite)
 
 

@@ -37,8 +37,9 @@ class Target:
 @contextmanager
 def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
     """Have the file of a recording for oneself; it is made where it lacks, and does not stay if nothing is written.
-    Raises `RecordingError` if it cannot be written, another process writes it, or there is something already that is
-    not replaced (`overwrite` replaces a recording)."""
+    Raises `RecordingError` if it cannot be written, another process writes it, there is something already that is
+    not replaced (`overwrite` replaces a recording), or the package ``mcap`` lacks."""
+    require_mcap()
     with errors_named(path, kind=RecordingError):
         file = open_result(path)
     try:

@@ -31,7 +31,7 @@ from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recording.recorder import InProcess, Recorder
 from hierax.runtime.recording.topics import EVERYTHING
-from hierax.runtime.recording.writing import Target, claimed, require_mcap
+from hierax.runtime.recording.writing import Target, claimed
 from hierax.runtime.scripting.hierarchy import Hierarchy
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
@@ -369,6 +369,5 @@ def _prepared(
         stack.enter_context(claimed_output(folder, overwrite))
     target = None
     if record is not None:
-        require_mcap()
         target = stack.enter_context(claimed(Path(record), overwrite))
     return deployment, target, folder
