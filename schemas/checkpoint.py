@@ -149,11 +149,10 @@ def decode_trial(data: bytes, where: str = "trial") -> tuple[str, Roster, Place,
     if not data:
         return None
     trial = decode_value(data, where)
-    if type(trial) is not tuple or [type(part) for part in trial] != [str, dict, tuple, bool]:
-        raise SchemaError("expected a name, a roster, a process, and true or false", where)
+    if not fits(trial, tuple[str, dict[str, Value], Place, bool]):
+        what = "a token, a version, an epoch and a request"
+        raise SchemaError(f"expected a name, a roster, an array of {what}, and true or false", where)
     name, roster, place, alone = trial
-    if not fits(place, Place):
-        raise SchemaError("expected a token, a version, an epoch and a request", where)
     before = Roster.read(roster)
     if name not in before.nodes:
         raise SchemaError(f"{name} is no node of its roster", where)
