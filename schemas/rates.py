@@ -115,7 +115,7 @@ class Timing:
         if not isinstance(value, dict) or value.keys() != _TIMING.keys():
             raise SchemaError(f"expected a map with the keys {', '.join(_TIMING)}", where)
         for name, kind in _TIMING.items():
-            part = value[name] if isinstance(value[name], dict) else tuple(value[name] or ())
+            part = tuple(value[name]) if isinstance(value[name], list) else value[name]
             if not fits(part, kind):
                 raise SchemaError(f"got {shown(value[name])}", f"{where}.{name}")
         began = {(lower, upper): Began(*rest) for lower, upper, *rest in value["began"]}

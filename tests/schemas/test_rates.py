@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from hierax.schemas.rates import Rates, Turns
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.rates import Began, EdgeRates, Rates, Timing, Turns
+from hierax.schemas.values import decode_value, encode_value
 
 PAIRS = (("w", "a"), ("w", "b"), ("a", "c"), ("b", "c"), ("c", "d"))
 
@@ -29,3 +33,26 @@ def test_an_epoch_is_held_up_by_who_is_joined_to_the_world_without_delay() -> No
     delays = {("a", "c"): 1}
     assert Rates(turns, delays, pairs=PAIRS).awaited(3) == set("wa"), "b takes no part"
     assert Rates(turns, delays, pairs=PAIRS).awaited(6) == set("wabcd")
+
+
+TIMING = Timing(
+    {"a": 3},
+    {("w", "a"): Began(3, 1, False)},
+    frozenset(("b", "c")),
+    {("w", "b"): None, ("b", "c"): EdgeRates(2, 1, 1)},
+)
+
+
+def test_a_timing_comes_back() -> None:
+    assert Timing.read(TIMING.plain(), "timing") == TIMING
+    assert Timing.read(decode_value(encode_value(TIMING.plain())), "timing") == TIMING
+
+
+@pytest.mark.parametrize("value", [None, 0, 7, True, "bc", [7], [["w", "a"]]])
+@pytest.mark.parametrize("name", ["since", "began", "fresh", "changed"])
+def test_what_is_no_field_of_a_timing_is_refused_by_name(name: str, value: Any) -> None:
+    plain: Any = TIMING.plain()
+    for part in (value, decode_value(encode_value(value))):
+        with pytest.raises(SchemaError) as raised:
+            Timing.read({**plain, name: part}, "timing")
+        assert raised.value.where == f"timing.{name}"
