@@ -13,13 +13,12 @@ from typing import NamedTuple
 
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys, is_name, process_token
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.messages import EDGE_KINDS
 from hierax.schemas.values import Value
 
 LAUNCH, OPERATOR, READER, LATER = "launch", "operator", "reader", "later node"
 
 _CALLED = {LAUNCH: "the launch", OPERATOR: "an operator", READER: "a reader", LATER: "a later node"}
-_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
 _ANY = "*"
 _HASH_BYTES = 16  # a name of ours may be longer than one in a certificate
 
@@ -85,7 +84,7 @@ def _role(what: str, name: str) -> str:
 
 def of_node(keys: Keys, name: str, *, is_world: bool = False) -> Grants:
     """What the process of a node may, or with ``*`` for the name of all of them."""
-    says = [keys.edge(kind, name, _ANY) for kind in _KINDS]
+    says = [keys.edge(kind, name, _ANY) for kind in EDGE_KINDS]
     hears = [keys.inbox(name), keys.control(_ANY if name == _ANY else process_token(name, "$*"))]
     if is_world:
         says += [keys.control(_ANY), keys.epochs, keys.roster]

@@ -40,7 +40,8 @@ OBSERVATIONS = "obs"
 TASKS = "task"
 CONTEXT = "ctx"
 HELLO = "hello"
-KINDS = (OBSERVATIONS, TASKS, CONTEXT, HELLO)
+EDGE_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
+KINDS = (*EDGE_KINDS, HELLO)
 
 DRAIN = "drain"
 """The header's extension of observations, where epochs overlap: this one does not, at its end every node is done."""

@@ -19,7 +19,8 @@ from hierax.schemas.values import encode_frozen, encode_value
 NO_DIGEST = bytes(DIGEST_BYTES)
 """What the first epoch's digest follows."""
 
-_FUNCTIONS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
+EDGE_FUNCTIONS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
+"""By kind of message, the edge function that gives it."""
 
 
 def encode_state(belief: Value, policy: str, actions: Elements) -> bytes:
@@ -89,7 +90,7 @@ def elements_cannot_travel(kind: str, sender: str, receiver: str, epoch: int, er
     """Whose fault it is that a message cannot be encoded."""
     lower, upper = (sender, receiver) if kind == OBSERVATIONS else (receiver, sender)
     what = f"its elements for {receiver}: {error}"
-    return OperatorError(f"{lower}->{upper}", _FUNCTIONS[kind], epoch, what)
+    return OperatorError(f"{lower}->{upper}", EDGE_FUNCTIONS[kind], epoch, what)
 
 
 def travels(call: Call, epoch: int, what: str, value: Value) -> None:

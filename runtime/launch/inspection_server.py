@@ -30,14 +30,12 @@ from hierax.runtime.watch.meter import Meter
 from hierax.runtime.watch.watcher import Copier, Edge, Stepper, Watcher
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import STEP, check_name
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.messages import EDGE_KINDS
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
 LEASE_S = 5.0  # how long a watcher stays after the last question that needs it
 MAX_EDGES = 4096  # how many edges are echoed at most
-
-_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
 
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
@@ -185,8 +183,8 @@ def _edges_of(question: Mapping[str, Any]) -> list[Edge]:
         if not isinstance(edge, (tuple, list)) or len(edge) != 3 or not all(isinstance(part, str) for part in edge):
             raise SchemaError(f"expected [kind, sender, receiver], got {shown(edge)}", "edges")
         kind, sender, receiver = edge
-        if kind not in _KINDS:
-            raise SchemaError(f"expected one of {', '.join(_KINDS)}, got {shown(kind)}", "edges")
+        if kind not in EDGE_KINDS:
+            raise SchemaError(f"expected one of {', '.join(EDGE_KINDS)}, got {shown(kind)}", "edges")
         found.append((kind, check_name(sender), check_name(receiver)))
     return found
 

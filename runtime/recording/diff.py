@@ -9,16 +9,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hierax.runtime.core.difference import ABSENT, first_unlike
+from hierax.runtime.core.digest import EDGE_FUNCTIONS
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.graph import neighbours
 from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
 from hierax.runtime.recording.trace import EpochTrace, taking_part
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
-
-LINE_OPERATORS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
-"""By kind of message, the edge function that gives it."""
-
 
 EpochView = EpochTrace | ReplayedEpoch  # an epoch as it can be compared, recorded or replayed
 
@@ -120,7 +117,7 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
         subject = f"{sender}->{receiver}" if kind == OBSERVATIONS else f"{receiver}->{sender}"
         given = [each.elements(kind, sender, receiver) for each in (a, b)]
         left, right = (None if elements is None else (elements,) for elements in given)
-        yield from unlike(subject, LINE_OPERATORS[kind], "elements", left, right)
+        yield from unlike(subject, EDGE_FUNCTIONS[kind], "elements", left, right)
 
     for name in names:
         starts = a.start_of(name), b.start_of(name)

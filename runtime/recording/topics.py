@@ -13,7 +13,7 @@ import msgpack
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.messages import CONTEXT, KINDS, OBSERVATIONS, TASKS, Header, Message, decode_message
+from hierax.schemas.messages import EDGE_KINDS, KINDS, Header, Message, decode_message
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, decode_step
 from hierax.schemas.values import decode_value
@@ -21,7 +21,6 @@ from hierax.schemas.values import decode_value
 MESSAGE, STEP, ROSTER, EPOCH, NOTE, CONTROL, TOKEN = "message", "step", "roster", "epoch", "note", "control", "token"
 """What there is in a recording."""
 
-_EDGE_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
 _BY_SEGMENT = {"steps": STEP, "roster": ROSTER, "epochs": EPOCH, "notes": NOTE, "alive": TOKEN}
 _BY_SEGMENT |= {"control": CONTROL, "words": CONTROL}  # what processes, and the roster's owner, are told
 _ROOT_SEGMENTS = 3
@@ -49,7 +48,7 @@ def topic_of(key: str) -> Topic | None:
     if len(segments) <= _ROOT_SEGMENTS:
         return None
     head, *names = segments[_ROOT_SEGMENTS:]
-    if head in _EDGE_KINDS:
+    if head in EDGE_KINDS:
         return Topic(MESSAGE, head, tuple(names)) if len(names) == 2 else None
     what = _BY_SEGMENT.get(head)
     return None if what is None else Topic(what, "", tuple(names))
