@@ -20,6 +20,7 @@ LAUNCH, OPERATOR, READER, LATER = "launch", "operator", "reader", "later node"
 
 _CALLED = {LAUNCH: "the launch", OPERATOR: "an operator", READER: "a reader", LATER: "a later node"}
 _ANY = "*"
+_ANY_LAUNCH = Keys(_ANY, _ANY).launch  # what is asked by who does not know which launch it is that it has reached
 _HASH_BYTES = 16  # a name of ours may be longer than one in a certificate
 
 
@@ -102,27 +103,21 @@ def of_node(keys: Keys, name: str, *, is_world: bool = False) -> Grants:
 def of_launch(keys: Keys) -> Grants:
     """What the launch may. It passes on what tools ask nodes, who answer them by way of it, and copies of what nodes
     say. What they say to one another it does not hear: who says that to it is no node."""
-    asked = (keys.launch, keys.changes, _any_launch())
     return Grants(
         says=(keys.notes, keys.control(_ANY)),
         hears=(keys.epochs, keys.seen(_ANY, _ANY, _ANY)),
         asks=(keys.look(_ANY),),
-        asked=asked,
+        asked=(keys.launch, keys.changes, _ANY_LAUNCH),
         answers=(keys.launch, keys.changes, keys.look(_ANY)),
     )
 
 
 def of_reader(keys: Keys) -> Grants:
     """What tools may that only look."""
-    return Grants(hears=(keys.everything,), asks=(keys.look(_ANY), keys.launch, _any_launch()))
+    return Grants(hears=(keys.everything,), asks=(keys.look(_ANY), keys.launch, _ANY_LAUNCH))
 
 
 def of_operator(keys: Keys) -> Grants:
     """What tools may that have the launch change, too."""
     reader = of_reader(keys)
     return reader._replace(asks=(*reader.asks, keys.changes))
-
-
-def _any_launch() -> str:
-    """What is asked by who does not know which launch it is that it has reached."""
-    return Keys(_ANY, _ANY).launch

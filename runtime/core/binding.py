@@ -183,8 +183,7 @@ class BoundNode:
         self.observe = bound(node.observe, "observe")
         self.select_policy = bound(node.select_policy, "select_policy")
         self.predict = bound(node.predict, "predict")
-        acts = isinstance(node, World) and type(node).act is not World.act
-        self.act = bound(node.act, "act") if isinstance(node, World) and acts else None
+        self.act = bound(node.act, "act") if isinstance(node, World) and type(node).act is not World.act else None
         self.policies = Policies(_policies_of(name, node), partial(bound, takes="policy"))
         self._check_initial_policy()
 

@@ -7,8 +7,7 @@ from graphlib import CycleError, TopologicalSorter
 from hierax.runtime.core.errors import HierarchyError
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import check_name
-
-Pair = tuple[str, str]  # an edge by the names of its lower and upper node
+from hierax.schemas.rates import Pair
 
 
 def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None:

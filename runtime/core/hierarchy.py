@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 
 from hierax.runtime.core.binding import BoundNode, Call, OperatorSetting, bind_edge, require_no_world, require_world
 from hierax.runtime.core.elements import Elements
-from hierax.runtime.core.graph import Pair, check_graph, neighbours, topological_order
+from hierax.runtime.core.graph import check_graph, neighbours, topological_order
 from hierax.runtime.core.node import Node, World
+from hierax.schemas.rates import Pair
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from typing import NamedTuple
 from hierax.runtime.core.binding import epoch_time_s
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, node_digest
 from hierax.runtime.core.elements import Elements
-from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, apply, check_orders, predict, sense
-from hierax.schemas.rates import Rates
+from hierax.schemas.rates import Pair, Rates
 
 
 class Said(NamedTuple):

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 from hierax.runtime.core.graph import neighbours
+from hierax.schemas.rates import Pair
 from hierax.schemas.roster import Roster
-
-Pair = tuple[str, str]  # the lower and the upper node of an edge
 
 
 def cut(roster: Roster, count: int, traffic: Mapping[Pair, float] | None = None) -> dict[str, tuple[str, ...]]:

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 
 from hierax.runtime.core.binding import BoundNode, Call
 from hierax.runtime.core.digest import NO_DIGEST
-from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
-from hierax.schemas.rates import Rates
+from hierax.schemas.rates import Pair, Rates
 from hierax.schemas.roster import Roster
 
 Slot = tuple[str, str]  # a sender and a kind: from each, one message comes in an epoch

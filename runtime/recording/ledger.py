@@ -8,10 +8,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hierax.runtime.core.graph import Pair
 from hierax.runtime.recording.info import Gap
 from hierax.runtime.recording.trace import Attempt, Line
-from hierax.schemas.rates import Rates
+from hierax.schemas.rates import Pair, Rates
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep
 

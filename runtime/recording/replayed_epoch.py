@@ -6,13 +6,12 @@ from typing import NamedTuple
 
 from hierax.runtime.core.digest import NO_DIGEST, elements_cannot_travel, node_digest
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.trace import Attempt, EpochTrace, Line, order_of
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
-from hierax.schemas.rates import Rates
+from hierax.schemas.rates import Pair, Rates
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import decode_value, encode_value
 

@@ -9,7 +9,6 @@ from random import Random
 
 from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state
 from hierax.runtime.core.elements import Elements
-from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.sim.checker import Checker, End
@@ -17,7 +16,7 @@ from hierax.runtime.sim.inspection import Inspector, Turn
 from hierax.runtime.sim.journal import FAULT, VERDICT, WORD
 from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario
 from hierax.schemas.messages import Header
-from hierax.schemas.rates import EVERY_EPOCH, Rates, Turns
+from hierax.schemas.rates import EVERY_EPOCH, Pair, Rates, Turns
 from hierax.schemas.roster import Change, Detach, Replace
 
 MAX_EVERY, MAX_DELAY = 5, 6

@@ -4,9 +4,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from random import Random
 
-from hierax.runtime.core.graph import Pair
 from hierax.runtime.sim.nodes import MODULE
 from hierax.schemas.control import Propose
+from hierax.schemas.rates import Pair
 from hierax.schemas.roster import FUNCTIONS, Attach, Change, Detach, Reference, Replace, Roster, RosterEdge, new_nodes
 
 CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"

@@ -15,9 +15,9 @@ from support.rosters import POOL, random_attach, random_change, random_roster
 from support.strategies import randoms
 
 from hierax.runtime.core.errors import HierarchyError
-from hierax.runtime.core.graph import Pair, check_graph
+from hierax.runtime.core.graph import check_graph
 from hierax.runtime.owner.roster_changes import ChangeError, apply, next_roster, removed, touched
-from hierax.schemas.rates import FROM_THE_BEGINNING, Turns
+from hierax.schemas.rates import FROM_THE_BEGINNING, Pair, Turns
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 SCENE, ARM, BASE, EYE = (Reference(f"robots.{name}:Node") for name in ("scene", "arm", "base", "eye"))
