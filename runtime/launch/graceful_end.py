@@ -20,7 +20,7 @@ from hierax.runtime.launch.child import Child
 from hierax.runtime.launch.frames import FINISH, LEAVE, NodeOrder
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
-from hierax.runtime.recovery.disk import MappedFile
+from hierax.runtime.recovery.disk import MappedFile, kept_at
 from hierax.runtime.recovery.slots import Slots
 from hierax.schemas.errors import SchemaError
 
@@ -120,7 +120,7 @@ class GracefulEnd:
 
 
 def _slots(order: NodeOrder) -> MappedFile:
-    path = Path(order.checkpoint)
-    if not Path(f"{path}.0").exists():
+    storage = kept_at(Path(order.checkpoint), order.durability)
+    if storage is None:
         raise HieraxError("its process did not answer, and has kept no checkpoint yet")
-    return MappedFile(path, order.durability)
+    return storage

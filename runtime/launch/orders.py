@@ -20,7 +20,7 @@ from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.info import RunInfo
-from hierax.runtime.recovery.disk import MappedFile
+from hierax.runtime.recovery.disk import kept_at
 from hierax.runtime.recovery.slots import Slots
 from hierax.schemas.access import READER, Access
 from hierax.schemas.checkpoint import WorldRecord, decode_processes, decode_roster
@@ -165,10 +165,10 @@ class Orders:
     def _world_record(self) -> WorldRecord | None:
         """What the world has recorded; None: nothing, so that the run has not begun."""
         world = self.deployment.roster.world
-        path = self.options.state / self._lineages.get(world, world)
-        if not Path(f"{path}.0").exists():
+        storage = kept_at(self.options.state / self._lineages.get(world, world), self.deployment.durability)
+        if storage is None:
             return None
-        with MappedFile(path, self.deployment.durability) as storage:
+        with storage:
             slots = Slots(storage)
             return read_record(slots)[0] if has_record(slots) else None
 

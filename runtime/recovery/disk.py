@@ -101,6 +101,12 @@ class MappedFile(Storage):
         self.close()
 
 
+def kept_at(path: Path, durability: Durability) -> MappedFile | None:
+    """What a process has kept that has ended; None: it has kept nothing, and no file is made. Raises `CheckpointError`
+    as `MappedFile` does."""
+    return MappedFile(path, durability) if _beside(path, "0").exists() else None
+
+
 class _SlotFile:
     """One slot: `MAGIC`, then its bytes. A new file that is durable waits for the disk before it gets its name."""
 

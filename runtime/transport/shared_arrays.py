@@ -107,6 +107,14 @@ def _open(process: int, file: int, secret: bytes, writes: bool = False) -> tuple
     return opened, memory
 
 
+def root_of(array: NDArray[Any]) -> NDArray[Any]:
+    """The array whose memory this one is a view of; itself, where it is none."""
+    root = array
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    return root
+
+
 class _Segment:
     """A sender's memory for one array at a time."""
 
@@ -230,9 +238,7 @@ class Lender:
 
     def _asked(self, array: NDArray[Any], head: NDArray[np.uint8]) -> _Segment | None:
         """The segment that an array is all of, and that nobody writes to any more."""
-        root: NDArray[Any] = array
-        while isinstance(root.base, np.ndarray):
-            root = root.base
+        root = root_of(array)
         if root.flags.writeable or not (array.flags.c_contiguous and array.dtype.isnative):
             return None
         for segment in self._segments:
@@ -265,12 +271,15 @@ class Lender:
     def _has_room(self, size: int) -> bool:
         """Whether there is room, after giving up others that nobody has, where that is enough."""
         for segment in list(self._segments):
-            taken = sum(each.size for each in self._segments)
-            if taken + size <= self.limit and len(self._segments) < MOST_SEGMENTS:
+            if self._fits(size):
                 return True
             if segment.claim(self._board):
                 self._segments.remove(segment)
                 segment.close()
+        return self._fits(size)
+
+    def _fits(self, size: int) -> bool:
+        """Whether there is room beside all segments."""
         return sum(each.size for each in self._segments) + size <= self.limit and len(self._segments) < MOST_SEGMENTS
 
 

@@ -19,6 +19,7 @@ import zenoh
 from numpy.typing import NDArray
 
 from hierax.runtime.transport.inbox import WAITING_BYTES, bytes_of
+from hierax.runtime.transport.shared_arrays import root_of
 from hierax.schemas.messages import Message, decode_message, encode_message
 
 ROOM = 1024  # how many messages wait for a node; who sends one more waits
@@ -55,10 +56,7 @@ def hand_over(key: str, message: Message) -> Handed:
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     """The array if nobody can write into its memory any more, else a copy of it; read-only."""
-    root: NDArray[Any] = array
-    while isinstance(root.base, np.ndarray):
-        root = root.base
-    frozen: NDArray[Any] = array.copy() if root.flags.writeable else array.view()
+    frozen: NDArray[Any] = array.copy() if root_of(array).flags.writeable else array.view()
     frozen.flags.writeable = False
     return frozen
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.recovery.disk import MAGIC, CheckpointError, Durability, MappedFile
+from hierax.runtime.recovery.disk import MAGIC, CheckpointError, Durability, MappedFile, kept_at
 from hierax.runtime.recovery.slots import Read, Slots
 
 PAGE_BYTES = 4096
@@ -43,6 +43,16 @@ def read(path: Path) -> tuple[Read, ...]:
 def test_records_are_read_by_the_next_one_who_opens(path: Path, durability: Durability) -> None:
     written(path, b"one", b"two", b"three", durability=durability)
     assert read(path) == (Read(1, 3, b"three"), Read(0, 2, b"two"))
+
+
+def test_what_was_never_written_is_not_made(path: Path) -> None:
+    assert kept_at(path, "process") is None
+    assert list(path.parent.iterdir()) == []
+    written(path, b"one")
+    storage = kept_at(path, "process")
+    assert storage is not None
+    with storage:
+        assert Slots(storage).read()[0] == Read(0, 1, b"one")
 
 
 def test_a_slot_grows_alone_and_keeps_growing(path: Path) -> None:
