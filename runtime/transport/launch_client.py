@@ -107,14 +107,12 @@ def _is_row(row: Value) -> bool:
 class LaunchClient:
     """Asks one launch, in a session of its own, on that run's keys alone. Raises `TransportError`."""
 
-    _role = OPERATOR  # whose key it has; the run's own will do for it
-
     def __init__(
         self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None, secret: str = ""
     ) -> None:
         self.endpoint = endpoint  # of the hub
         self._keys = keys  # of the run; None: they are found out, which fails where several answer
-        self._role, until = whose(secret) or (self._role, None)
+        self._role, until = whose(secret) or (OPERATOR, None)  # whose key it has; the run's own will do for that
         try:  # a client, as the processes of the run would link to a peer
             self._session = open_session(
                 (), [endpoint], zenoh_config, False, "client", secret=secret, role=OPERATOR, access=launch_alone()
