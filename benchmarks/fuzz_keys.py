@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, get_args
@@ -219,21 +219,21 @@ def repeated(live: Live, epochs: int) -> str:
     return str(json.loads(done.stdout)["digest"])
 
 
-def harmless(seed: int, messages: int, say: Callable[[str], None] = print) -> bool:
+def harmless(seed: int, messages: int) -> bool:
     """Say much that is of no use; whether the launch did not mind."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:
         live = Live(Path(folder))
         try:
-            return _harmless(live, rng, messages, say)
+            return _harmless(live, rng, messages)
         except AssertionError:
-            say("".join(live.launch.err[-40:]))
+            print("".join(live.launch.err[-40:]))
             raise
         finally:
             live.close()
 
 
-def _harmless(live: Live, rng: random.Random, messages: int, say: Callable[[str], None]) -> bool:
+def _harmless(live: Live, rng: random.Random, messages: int) -> bool:
     before = live.run
     tokens = {name: str(node["process"]) for name, node in before["nodes"].items()}
     undisturbed = memory(live)
@@ -265,13 +265,15 @@ def _harmless(live: Live, rng: random.Random, messages: int, say: Callable[[str]
     small = max(most.values()) <= ALLOWED_BYTES
     lines = sum("hierax: " in line for line in live.launch.err)
     grown = ", ".join(f"{name} {size / 1e6:.1f} MB" for name, size in most.items())
-    say(f"{sum(counts.values())} messages ({dict(counts)}) in {took_s:.0f} s, {report['epochs']} epochs")
-    say(f"processes {'the same' if same else 'others'}, digest {'equal' if right else 'NOT EQUAL'}, grown by: {grown}")
-    say(f"{lines} lines on the console")
+    print(f"{sum(counts.values())} messages ({dict(counts)}) in {took_s:.0f} s, {report['epochs']} epochs")
+    print(
+        f"processes {'the same' if same else 'others'}, digest {'equal' if right else 'NOT EQUAL'}, grown by: {grown}"
+    )
+    print(f"{lines} lines on the console")
     return same and right and small
 
 
-def forge(seed: int, say: Callable[[str], None] = print) -> bool:
+def forge(seed: int) -> bool:
     """Speak in the nodes' names; whether the launch ended with one error that names one, or with the right digest."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -285,11 +287,11 @@ def forge(seed: int, say: Callable[[str], None] = print) -> bool:
             if live.launch.process.poll() is None:
                 report = live.ends()
                 right = bool(report["digest"] == repeated(live, report["epochs"]))
-                say(f"seed {seed}: went on, digest {'equal' if right else 'NOT EQUAL'}")
+                print(f"seed {seed}: went on, digest {'equal' if right else 'NOT EQUAL'}")
                 return right
             live.launch.ends()
             errors = [line for line in live.launch.err if line.startswith("error: ")]
-            say(f"seed {seed}: exit code {live.launch.process.returncode}, {''.join(errors).strip()}")
+            print(f"seed {seed}: exit code {live.launch.process.returncode}, {''.join(errors).strip()}")
             named = len(errors) == 1 and "in the name of" in errors[0]
             return live.launch.process.returncode == 1 and named and "Traceback" not in "".join(live.launch.err)
         finally:

@@ -1,10 +1,10 @@
 """Junk in everything that is read: no command answers it with a traceback, hangs or swells.
 
     python benchmarks/junk.py                         # all of it, some twenty minutes
-    python benchmarks/junk.py recordings --times 500 --seed 7
+    python benchmarks/junk.py --times 500 --seed 7
 
-recordings  recordings of shipped deployments, of which every field of metadata, roster, steps and messages is replaced
-            by others, left out, doubled, cut off; every command that reads recordings, on each
+Read are recordings of shipped deployments, of which every field of metadata, roster, steps and messages is replaced by
+others, left out, doubled, cut off; every command that reads recordings, on each.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ NODES = {"letters": "word", "servo": "camera", "chain": "arm", "causal-tree": "t
 def main() -> int:
     """Spoil, read, tell."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="?", choices=("recordings",))
     parser.add_argument("--times", type=int, default=400, help="how many files of each kind")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--some", type=int, default=None, help="so many of the commands on each; by default all")
