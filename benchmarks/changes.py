@@ -38,6 +38,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from commands import HIERAX, reported
 from random_changes import KINDS, Subject, next_change, snippet, subject
 
 from hierax.runtime.commands.main import main as hierax_main
@@ -45,8 +46,6 @@ from hierax.runtime.core.probe import Probe, Step
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.owner.owner import OVER
 from hierax.schemas.roster import Attach, Change, Detach
-
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 
 HIERARCHIES = ("letters", "servo", "random")
 EPOCHS = {"letters": 20_000, "servo": 40_000, "random": 4_000}
@@ -124,7 +123,7 @@ class Launch:
     def go(self, limit: int) -> None:
         """Launch, change at most so many times, compare."""
         launched = subprocess.Popen(
-            self._command("launch"),
+            [*HIERAX, "launch", "--format", "json", *self._words()],
             env=self._environment(TIMES),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -142,9 +141,8 @@ class Launch:
     def _place(self) -> str:
         return f"{self._subject.name}, seed {self._seed}"
 
-    def _command(self, mode: str) -> list[str]:
-        options = ["--epochs", str(self._epochs), "--seed", str(self._seed), "--format", "json"]
-        return [*HIERAX, mode, str(self._file), *options]
+    def _words(self) -> list[str]:
+        return [str(self._file), "--epochs", str(self._epochs), "--seed", str(self._seed)]
 
     def _environment(self, times: str) -> dict[str, str]:
         here = str(Path(__file__).resolve().parent)
@@ -189,12 +187,8 @@ class Launch:
 
     def _compare(self, summary: dict[str, Any]) -> None:
         at = [argument for _, _, spelled in self._made for argument in ("--at", spelled)]
-        done = subprocess.run(
-            [*self._command("run"), *at], env=self._environment("run.npy"), capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise SystemExit(f"{self._place}: the repetition failed: {done.stderr.strip()}")
-        wanted = json.loads(done.stdout)
+        failed = f"{self._place}: the repetition failed"
+        wanted = reported(failed, "run", *self._words(), *at, environment=self._environment("run.npy"))
         for key in ("digest", "epochs", "nodes"):
             if summary[key] != wanted[key]:
                 self._result.faults.append(f"{self._place}: {key} of launch and run differ; changes: {at}")

@@ -25,7 +25,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
+from commands import HIERAX
+
 DIGEST = re.compile(r"digest: ([0-9a-f]{64})")
 EPOCH = re.compile(r"epoch (\d+)")
 CONFINED = ("Uid:\t10001\t", "CapEff:\t0000000000000000", "NoNewPrivs:\t1")

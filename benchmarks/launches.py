@@ -20,7 +20,8 @@ import tempfile
 import time
 from pathlib import Path
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
+from commands import HIERAX
+
 LISTENING = "0A"
 
 

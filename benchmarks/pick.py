@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -22,11 +21,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from commands import reported
 
 from hierax.nodes.tracking.evaluation.report import read_errors
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TIMEOUT_S = 600.0
 SCENES = "0:20"
 SETTLED_FRAMES = 20
@@ -85,12 +84,10 @@ def episode(scene: int, command: str, settings: Sequence[str] = ()) -> Episode:
         SystemExit: it failed.
     """
     with tempfile.TemporaryDirectory() as folder:
-        words = [*HIERAX, command, "pick", "--format", "json", "--seed", str(scene), "--output", folder]
+        words = ["pick", "--seed", str(scene), "--output", folder]
         words += [word for setting in (*settings, f"scene={scene}") for word in ("--set", setting)]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-        if done.returncode:
-            raise SystemExit(f"scene {scene}: {command} failed: {done.stderr.strip()}")
-        return measured(scene, json.loads(done.stdout), read_errors(Path(folder)))
+        report = reported(f"scene {scene}: {command} failed", command, *words, timeout_s=TIMEOUT_S)
+        return measured(scene, report, read_errors(Path(folder)))
 
 
 def measured(scene: int, report: dict[str, Any], errors: Sequence[ObjectErrors]) -> Episode:

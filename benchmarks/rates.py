@@ -29,6 +29,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import staleness
+from commands import HIERAX
 
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.single import run
@@ -57,7 +58,7 @@ def late(options: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "paced.yaml"
         file.write_text(DEPLOYMENT, encoding="utf-8")
-        command = [sys.executable, "-m", "hierax.runtime.commands.entry", "launch", str(file), "--format", "json"]
+        command = [*HIERAX, "launch", str(file), "--format", "json"]
         command += ["--epochs", str(epochs), "--set", f"late={options.late}"]
         environment = {**os.environ, "PYTHONPATH": str(TESTS)}
         done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)

@@ -29,6 +29,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from commands import HIERAX
+
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.deployment.read import read_deployment
@@ -37,7 +39,6 @@ from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.writing import CHUNK_S
 from hierax.runtime.transport.launch_client import LaunchClient
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TIMEOUT_S = 120.0
 SETTINGS = {"tracking": ("frames=100000", "cubes=3"), "pick": ("frames=100000",)}
 """With which a deployment goes on for as long as it is let."""

@@ -21,7 +21,6 @@ import argparse
 import json
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -29,11 +28,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from commands import reported
 
 from hierax.nodes.tracking.evaluation.report import read_errors
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TIMEOUT_S = 300.0
 FRAMES = 60
 EPOCHS = ("--epochs", str(FRAMES))
@@ -90,11 +89,8 @@ class Launch(NamedTuple):
 def launch(way: str, output: Path) -> Launch:
     """Launch the tracking deployment in one way."""
     changes = [word for change in (*WAYS[way], f"frames={FRAMES}") for word in ("--set", change)]
-    command = [*HIERAX, "launch", "tracking", "--output", str(output), "--format", "json", *EPOCHS, *changes]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    if done.returncode:
-        raise SystemExit(f"{way}: the launch failed: {done.stderr.strip()}")
-    report = json.loads(done.stdout)
+    words = ["tracking", "--output", str(output), *EPOCHS, *changes]
+    report = reported(f"{way}: the launch failed", "launch", *words, timeout_s=TIMEOUT_S)
     metrics = report["nodes"]["arm"]["metrics"]
     return measured(read_errors(output), report, metrics.get("staleness_mean", 0.0))
 

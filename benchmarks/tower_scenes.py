@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from commands import reported
 
 from hierax.nodes.picking.layout import planned
 from hierax.nodes.tower.goals import Towers, read_towers
@@ -18,7 +17,6 @@ from hierax.nodes.tower.world import NONE
 from hierax.nodes.tracking.schema import TABLE
 from hierax.runtime.deployment.tree import read_tree
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 DEFAULTS = {"cubes": "4", "tower": "[1, 3, 4, 2]", "person": NONE, "pictures": "100000"}
 RANDOM, THREE = "random", 3
 _BUILDER, _SKILLS, _SPATIAL = (
@@ -58,11 +56,7 @@ def interferences(person: str, scene: int) -> list[str]:
 
 def episode(command: str, set_to: Mapping[str, str]) -> dict[str, Any]:
     """The report of a scene to its end, by a command, run or launch; ends the program where that fails."""
-    arguments = [*HIERAX, command, *words(set_to), "--format", "json"]
-    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"scene {set_to['scene']}: {done.stderr.strip()}")
-    return dict(json.loads(done.stdout))
+    return reported(f"scene {set_to['scene']}", command, *words(set_to))
 
 
 def towers_of(set_to: Mapping[str, str]) -> Towers:
