@@ -9,7 +9,7 @@ from hierax.runtime.commands.recordings import claimed_file, report_outcome, sel
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.execution.report import Report
-    from hierax.runtime.execution.single import Watch
+    from hierax.runtime.execution.single_nodes import Watch
     from hierax.runtime.recording.recorder import InProcess
 
 
