@@ -12,7 +12,8 @@ from hierax.runtime.deployment.deployment import (
     longest_key,
     normal_path,
 )
-from hierax.runtime.deployment.models import GONE, field_names
+from hierax.runtime.deployment.model_errors import GONE
+from hierax.runtime.deployment.models import field_names
 from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.loading.arguments import in_words

@@ -24,7 +24,7 @@ from hierax.runtime.deployment.deployment import (
     read_text,
 )
 from hierax.runtime.deployment.hosts import check_together, hosts_of, placed_on
-from hierax.runtime.deployment.models import first_error
+from hierax.runtime.deployment.model_errors import first_error
 from hierax.runtime.deployment.parameters import apply_override, substitute
 from hierax.runtime.deployment.rates import TOGETHER, rates_of
 from hierax.runtime.deployment.tree import read_tree

@@ -13,7 +13,8 @@ from typing import NamedTuple
 from pydantic import ValidationError
 
 from hierax.runtime.deployment.deployment import Deployment, DeploymentError, Document, ProcessTerms, inside
-from hierax.runtime.deployment.models import SnippetModel, first_error, split_edge
+from hierax.runtime.deployment.model_errors import first_error
+from hierax.runtime.deployment.models import SnippetModel, split_edge
 from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.rates import check_gathers, turns_of
 from hierax.runtime.deployment.read import node_terms, read_document, roster_edges, roster_nodes
