@@ -46,7 +46,7 @@ def _begun_or_resumed(options: RunOptions, file: str, state: Path, forks: "ForkS
 
 
 def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_on: bool = False) -> int:
-    """`goes_on`: whether the output of a run that was ended before its first epoch is written on."""
+    """`goes_on`: whether the output of a run that was ended before its first epoch is written on, its state anew."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch.recorder_process import RecordingRequest
     from hierax.runtime.transport.zenoh_session import log_refusals
@@ -71,6 +71,7 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
             resumed=run,
             host=options.host,
             overrides=tuple(options.overrides or ()),
+            overwrite=options.overwrite or goes_on,
             recording=recording,
             forks=forks,
         )

@@ -53,7 +53,7 @@ _WORDS = """
 --once: Look for one interval, print it, and end.
 --open: Open the page in a browser.
 --output DIR: A folder for states, digests, the report and what probes write; made where it lacks.
---overwrite: Replace the output or recording of another run; of other files none is touched.
+--overwrite: Replace the output, recording or state of another run; of other files none is touched.
 --port PORT: Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.
 --processes N: Put the nodes into so many processes, as many into each, or by --traffic; else as the file says.
 --rates: Of hierarchies whose nodes take part now and then, and whose edges have delays.

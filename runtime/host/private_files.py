@@ -133,6 +133,20 @@ def hold(file: int, refusal: Callable[[str], HieraxError]) -> None:
         raise refusal(_holder(file)) from error
 
 
+@contextmanager
+def held_file(path: Path, refusal: Callable[[str], HieraxError]) -> Iterator[None]:
+    """Hold a private file, made where it lacks, as `hold` does; the kernel lets go of it where the process ends before
+    the block. Raises the refusal, `UnsafeFileError` as `open_private` does, `HieraxError` if it cannot be locked."""
+    with errors_named(path, "locked"), private_folder(path.parent) as folder:
+        file = open_private(folder, path.name, os.O_RDWR | os.O_CREAT, path)
+    try:
+        with errors_named(path, "locked"):
+            hold(file, refusal)
+        yield
+    finally:
+        os.close(file)
+
+
 def _walked(path: Path, make: bool) -> int:
     """A folder, opened from the root on, so that nobody can exchange one that was looked at already."""
     left = _parts(os.path.join(os.getcwd(), path))

@@ -238,7 +238,7 @@ class Orders:
             return self.deployment.roster
         record = self._world_record()
         if record is None:
-            why = "the run was ended before its first epoch; launch it anew"
+            why = "the run was ended before its first epoch; launch it anew, with --overwrite"
             raise NotBegunError(f"{self.options.state}: there is nothing to resume: {why}")
         self.resumed_after = record.epoch - 1
         if self.options.epochs is not None and self.resumed_after >= self.options.epochs:

@@ -3,19 +3,29 @@
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.private_files import UnsafeFileError, errors_named, private_folder, read_private, write_private
+from hierax.runtime.host.private_files import (
+    HeldError,
+    UnsafeFileError,
+    errors_named,
+    held_file,
+    private_folder,
+    read_private,
+    write_private,
+)
 from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
 from hierax.runtime.host.run_secret import key_text, read_key
+from hierax.runtime.recovery.disk import SLOTS
 from hierax.schemas.keys import is_name
 
 _RUN = "run.json"
+_LOCK = "_run.lock"  # in the same folder, held as long as a launch runs; no node can be called so
 _KEY = ".key"
 _KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "lineages": dict, "terms": dict}
 _TEMPORARY = Path("/tmp")
@@ -97,6 +107,35 @@ def make_state(state: Path) -> None:
         raise HieraxError(f"--state {state}: it cannot be written: {error.strerror or error}") from error
     except UnsafeFileError as error:
         raise HieraxError(f"--state {error}") from error
+
+
+@contextmanager
+def held_state(state: Path, resumes: bool, overwrite: bool = False) -> Iterator[None]:
+    """Have a folder for checkpoints, as `make_state` makes it, for this launch alone, until the block or this process
+    ends. A run that does not resume the one there begins only where there is none; `overwrite` removes what is left of
+    one. Raises `HieraxError` as `make_state` does, if another launch has the folder, or if there is a run in it."""
+    make_state(state)
+    with held_file(state / _LOCK, lambda holder: _in_use(state, holder)):
+        left = [] if resumes else _left_in(state)
+        if left and not overwrite:
+            what = f"there is a run in it already ({left[0].name})"
+            how = f"--resume {state} goes on with it, --overwrite removes it and begins anew, or name another folder"
+            raise HieraxError(f"--state {state}: {what}; {how}")
+        for path in left:
+            path.unlink(missing_ok=True)
+        yield
+
+
+def _in_use(state: Path, holder: str) -> HeldError:
+    return HeldError(
+        f"{state}: {holder} is running with its checkpoints there; wait for its end, or name another folder"
+    )
+
+
+def _left_in(state: Path) -> list[Path]:
+    """The files of a run in a folder: first what it takes to resume it, then its checkpoints, which have locks."""
+    slots = [lock.with_suffix(f".{slot}") for lock in sorted(state.glob("*.lock")) for slot in range(SLOTS)]
+    return [path for path in (state / _RUN, *slots) if path.exists()]
 
 
 def register(running: Running, secret: str = "") -> Path:

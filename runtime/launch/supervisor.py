@@ -31,7 +31,7 @@ from hierax.runtime.launch.recorder_process import RecorderChild, RecordingReque
 from hierax.runtime.launch.renewal import Shown, one_of_each, renew_again_and_again
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
-from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, register, warning_of
+from hierax.runtime.launch.run_file import Run, Running, forget, held_state, key_path, register, warning_of
 from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
@@ -63,6 +63,7 @@ def launch(
     resumed: Run | None = None,  # go on with this run, whose checkpoints are in `state`
     host: str | None = None,  # as `LaunchOptions` has it
     overrides: Sequence[str] = (),  # likewise
+    overwrite: bool = False,  # whether the run that is in `state` gives way to this one
     recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
     opened: Callable[[str, str], None] = lambda endpoint, secret: None,  # told where it is reached, and its secret
     broken: threading.Event | None = None,  # set by who wants it to end, as a signal does; needed outside main threads
@@ -81,7 +82,7 @@ def launch(
             host = found.address(deployment.hosts.values())
         if state is None:
             state = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hierax-")))
-        make_state(state)
+        stack.enter_context(held_state(state, resumed is not None, overwrite))
         if output is not None and resumed is None:
             write_roster(output, deployment.roster)
         limit = deployment.epochs if epochs is None else epochs

@@ -95,7 +95,8 @@ def test_a_run_that_was_ended_before_its_first_epoch_is_not_resumed(finished: Pa
     state = tmp_path / "state"
     state.mkdir(mode=0o700)
     shutil.copy(finished / "state" / "run.json", state)
-    what = f"error: {state}: there is nothing to resume: the run was ended before its first epoch; launch it anew\n"
+    why = "the run was ended before its first epoch; launch it anew, with --overwrite"
+    what = f"error: {state}: there is nothing to resume: {why}\n"
     for _ in range(2):  # with files of a record that was never written, too
         done = hierax(tmp_path, "launch", "--resume", "state", "--set", SET)
         assert (done.returncode, done.stderr) == (1, what)
@@ -138,6 +139,29 @@ def test_two_launches_do_not_share_an_output_nor_a_recording(tmp_path: Path) -> 
             done = hierax(tmp_path, "run", "letters", *options)
             assert done.returncode == 1
             assert f"process {launch.process.pid} is writing" in done.stderr, done.stderr
+
+
+def test_a_launch_leaves_the_state_of_another_one_alone(tmp_path: Path) -> None:
+    """Neither of one that runs, nor of one that was killed, unless it is told to replace that."""
+    begin = ("launch", "letters", "--seed", "7", "--epochs", "2", "--format", "json", "--state")
+    with Launched(tmp_path, paced(tmp_path, "letters"), "--seed", "3", "--epochs", "1000000") as launch:
+        launch.until_epoch(3)
+        kept = (launch.state / "run.json").read_bytes()
+        for more in ((), ("--overwrite",)):
+            done = hierax(tmp_path, *begin, "state", *more)
+            holder = f"process {launch.process.pid} is running with its checkpoints there"
+            what = f"error: {launch.state}: {holder}; wait for its end, or name another folder\n"
+            assert (done.returncode, done.stderr) == (1, what)
+        os.kill(launch.process.pid, signal.SIGKILL)
+        launch.end()
+        until(lambda: not any(map(launch.pid, ("world", "word", "letter1", "letter2", "letter3"))), "its end")
+    done = hierax(tmp_path, *begin, "state")
+    assert done.returncode == 1
+    assert f"error: --state {launch.state}: there is a run in it already (run.json); --resume" in done.stderr
+    assert (launch.state / "run.json").read_bytes() == kept
+    done, fresh = (hierax(tmp_path, *begin, *state) for state in (("state", "--overwrite"), ("fresh",)))
+    assert (done.returncode, fresh.returncode) == (0, 0), done.stderr + fresh.stderr
+    assert json.loads(done.stdout)["digest"] == json.loads(fresh.stdout)["digest"]
 
 
 def can(*command: str) -> bool:

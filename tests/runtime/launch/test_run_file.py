@@ -10,7 +10,17 @@ import pytest
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch import run_file
-from hierax.runtime.launch.run_file import Run, Running, known_runs, make_state, read_run, register, write_run
+from hierax.runtime.launch.run_file import (
+    Run,
+    Running,
+    held_state,
+    known_runs,
+    make_state,
+    read_run,
+    register,
+    write_run,
+)
+from hierax.runtime.recovery.disk import MappedFile
 
 NOBODY = 65534
 RUN = Run("/house.yaml", [], 3, 10, "", {}, {})
@@ -104,6 +114,30 @@ def test_a_state_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "open").chmod(0o777)
     with pytest.raises(HieraxError, match="others may write there"):
         make_state(tmp_path / "open")
+
+
+def test_only_what_a_run_has_left_is_removed_for_another_one(tmp_path: Path) -> None:
+    (tmp_path / "notes.0").write_text("mine")
+    MappedFile(tmp_path / "arm.left").close()
+    write_run(tmp_path, RUN)
+    with (
+        pytest.raises(HieraxError, match=r"there is a run in it already \(run\.json\)"),
+        held_state(tmp_path, resumes=False),
+    ):
+        pass
+    with held_state(tmp_path, resumes=True):
+        assert read_run(tmp_path) == RUN
+    with held_state(tmp_path, resumes=False, overwrite=True):
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["_run.lock", "arm.left.lock", "notes.0"]
+
+
+def test_a_state_is_one_launch_s_at_a_time(tmp_path: Path) -> None:
+    for resumes in (False, True):
+        in_use = pytest.raises(HieraxError, match="is running with its checkpoints there")
+        with held_state(tmp_path, resumes=False), in_use, held_state(tmp_path, resumes, overwrite=True):
+            pass
+        with held_state(tmp_path, resumes=resumes):  # it is free at once
+            pass
 
 
 @root_only
