@@ -147,6 +147,22 @@ def held_file(path: Path, refusal: Callable[[str], HieraxError]) -> Iterator[Non
         os.close(file)
 
 
+@contextmanager
+def unswept(folder: Path) -> Iterator[None]:
+    """Have a folder, and all in it, left alone by what sweeps temporary folders, until the block or this process ends.
+
+    A file that is mapped looks, on tmpfs, as old as it was when it was opened, however often it is written to.
+    systemd-tmpfiles passes over folders that somebody has locked; nobody else is kept out. Raises `OSError` if the
+    folder cannot be opened."""
+    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(file)
+
+
 def _walked(path: Path, make: bool) -> int:
     """A folder, opened from the root on, so that nobody can exchange one that was looked at already."""
     left = _parts(os.path.join(os.getcwd(), path))

@@ -5,7 +5,6 @@ how its epochs go; what runs, and all that touches this machine, comes from what
 """
 
 import signal
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,6 +24,7 @@ from hierax.runtime.launch.fork_server import ForkServer
 from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, NodeOrder, new_process
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
 from hierax.runtime.launch.renewal import PARTS, renew
+from hierax.runtime.launch.run_file import passing_state
 from hierax.runtime.loading.allowance import Allowance, module_of
 from hierax.runtime.transport.launch_client import LaunchClient, is_gone
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
@@ -56,8 +56,8 @@ def run_attached(
     """
     try:
         # nobody else knows the folder's name before it is there
-        with tempfile.TemporaryDirectory(prefix="hierax-", ignore_cleanup_errors=True) as folder:
-            read = read_orders(orders, request, here, Path(folder))
+        with passing_state() as folder:
+            read = read_orders(orders, request, here, folder)
             # of this machine's scheduler is asked what its user says, not what a launch does
             read = [replace(order, scheduling=terms[order.name].scheduling) for order in read]
             with overheard(notify):

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ from hierax.runtime.host.private_files import (
     held_file,
     private_folder,
     read_private,
+    unswept,
     write_private,
 )
 from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
@@ -136,6 +138,23 @@ def _left_in(state: Path) -> list[Path]:
     """The files of a run in a folder: first what it takes to resume it, then its checkpoints, which have locks."""
     slots = [lock.with_suffix(f".{slot}") for lock in sorted(state.glob("*.lock")) for slot in range(SLOTS)]
     return [path for path in (state / _RUN, *slots) if path.exists()]
+
+
+@contextmanager
+def passing_state() -> Iterator[Path]:
+    """A temporary folder for checkpoints, which goes at the block's end."""
+    with tempfile.TemporaryDirectory(prefix="hierax-", ignore_cleanup_errors=True) as name, unswept(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def known_here(running: Running, secret: str = "") -> Iterator[None]:
+    """Have a run be known here, as `register` does, until the block ends."""
+    with unswept(register(running, secret).parent):
+        try:
+            yield
+        finally:
+            forget(running)
 
 
 def register(running: Running, secret: str = "") -> Path:

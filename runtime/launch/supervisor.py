@@ -1,7 +1,6 @@
 """Launching a deployment: each node its own process, or as it says, kept alive until the run is over."""
 
 import os
-import tempfile
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -31,7 +30,7 @@ from hierax.runtime.launch.recorder_process import RecorderChild, RecordingReque
 from hierax.runtime.launch.renewal import Shown, one_of_each, renew_again_and_again
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
-from hierax.runtime.launch.run_file import Run, Running, forget, held_state, key_path, register, warning_of
+from hierax.runtime.launch.run_file import Run, Running, held_state, key_path, known_here, passing_state, warning_of
 from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
@@ -81,7 +80,7 @@ def launch(
         if found.links and host is None:
             host = found.address(deployment.hosts.values())
         if state is None:
-            state = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hierax-")))
+            state = stack.enter_context(passing_state())
         stack.enter_context(held_state(state, resumed is not None, overwrite))
         if output is not None and resumed is None:
             write_roster(output, deployment.roster)
@@ -119,13 +118,12 @@ async def _run(
     path = str(deployment.path.resolve())
     pid, is_open = os.getpid(), deployment.open
     running = Running(orders.run_id, deployment.name, hub.endpoint, pid, path, orders.overrides, is_open)
-    register(running, orders.secret)
     hosts = Hosts(deployment, found, forks)
     supervisor = Supervisor(orders, roster, hub, hosts, notify, recording, broken)
     try:
-        await supervisor.run(begun_s)
+        with known_here(running, orders.secret):
+            await supervisor.run(begun_s)
     finally:
-        forget(running)
         supervisor.close()
         hosts.close()
     return supervisor.report()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -11,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.launched import HIERAX, Launched, environment, until
+from support.launched import HIERAX, Command, Launched, environment, until
 from support.pace import paced
 
 WORD = "hunter2word"
@@ -162,6 +163,33 @@ def test_a_launch_leaves_the_state_of_another_one_alone(tmp_path: Path) -> None:
     done, fresh = (hierax(tmp_path, *begin, *state) for state in (("state", "--overwrite"), ("fresh",)))
     assert (done.returncode, fresh.returncode) == (0, 0), done.stderr + fresh.stderr
     assert json.loads(done.stdout)["digest"] == json.loads(fresh.stdout)["digest"]
+
+
+def is_swept(folder: Path) -> bool:
+    """Whether systemd-tmpfiles would go into a folder: it does if it can lock it."""
+    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(file)
+    return True
+
+
+def test_temporary_files_of_a_launch_are_not_swept_as_long_as_it_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    arguments = ("launch", paced(tmp_path, "letters"), "--epochs", "1000000", "--output", str(tmp_path / "out"))
+    with Command(tmp_path, *arguments) as launch:
+        until((tmp_path / "out" / "digests.msgpack").exists, "it is under way")
+        (state,) = tmp_path.glob("hierax-*/")
+        assert (state / "world.0").exists()
+        assert [is_swept(folder) for folder in (state, tmp_path / "hierax")] == [False, False]
+        os.kill(launch.process.pid, signal.SIGKILL)
+        launch.end()
+        until(lambda: is_swept(state) and is_swept(tmp_path / "hierax"), "they are swept")
 
 
 def can(*command: str) -> bool:
