@@ -147,6 +147,38 @@ def held_file(path: Path, refusal: Callable[[str], HieraxError]) -> Iterator[Non
         os.close(file)
 
 
+def shown_alive(path: Path) -> int:
+    """Show that this process is there by a private file, made where it lacks, for as long as the descriptor that is
+    given is open. It holds between containers, and over starts anew, where numbers of processes mean others. On a file
+    system without locks there is no file. Raises as `open_private` does."""
+    with private_folder(path.parent, make=True) as folder:
+        file = open_private(folder, path.name, os.O_RDWR | os.O_CREAT, path)
+        with closed_on_error(file):
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.unlink(path.name, dir_fd=folder)
+    return file
+
+
+def is_shown_alive(path: Path) -> bool | None:
+    """Whether a process is there that has `shown_alive` by a file; None: none has. Where it cannot be told, one is."""
+    try:
+        with private_folder(path.parent) as folder:
+            file = open_private(folder, path.name, os.O_RDONLY, path)
+    except FileNotFoundError:
+        return None
+    except (OSError, UnsafeFileError):
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(file)
+    return False
+
+
 @contextmanager
 def unswept(folder: Path) -> Iterator[None]:
     """Have a folder, and all in it, left alone by what sweeps temporary folders, until the block or this process ends.

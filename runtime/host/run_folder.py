@@ -17,11 +17,18 @@ from secrets import token_bytes
 from typing import Any, TypeVar
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
+from hierax.runtime.host.private_files import (
+    UnsafeFileError,
+    is_shown_alive,
+    private_folder,
+    read_private,
+    write_private,
+)
 
 KEPT_RUNS = 20  # how many folders stay of launches that have ended, the last ones
 LOGS = "logs"
 ABOUT = "about.json"
+ALIVE = "alive.lock"  # by which the launch is shown alive
 
 Run = TypeVar("Run")
 RECORDING, STATE = "recording", "state"  # what is sealed: no seal of one fits the other
@@ -94,9 +101,16 @@ def about_run(folder: Path) -> dict[str, Any]:
 
 
 def is_alive(folder: Path) -> bool:
-    """Whether the launch may still run: there is a process with its supervisor's number."""
+    """Whether the launch may still run."""
     pid = about_run(folder).get("pid")
-    return isinstance(pid, int) and pid > 0 and is_process(pid)
+    return isinstance(pid, int) and pid > 0 and is_there(folder / ALIVE, pid)
+
+
+def is_there(shown: Path, pid: int) -> bool:
+    """Whether there is a supervisor that is shown alive by a file. Where there is no such file, as older versions make
+    none, it is if this user has a process of its number, which another process may have by now."""
+    alive = is_shown_alive(shown)
+    return is_process(pid) if alive is None else alive
 
 
 def is_process(pid: int) -> bool:

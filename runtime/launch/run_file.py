@@ -18,10 +18,11 @@ from hierax.runtime.host.private_files import (
     held_file,
     private_folder,
     read_private,
+    shown_alive,
     unswept,
     write_private,
 )
-from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
+from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_sealed, is_there, runs_folder, seal_or_warn
 from hierax.runtime.host.run_secret import key_text, read_key
 from hierax.runtime.recovery.disk import SLOTS
 from hierax.schemas.keys import is_name
@@ -29,6 +30,7 @@ from hierax.schemas.keys import is_name
 _RUN = "run.json"
 _LOCK = "_run.lock"  # in the same folder, held as long as a launch runs; no node can be called so
 _KEY = ".key"
+_ALIVE = ".lock"
 _KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "lineages": dict, "terms": dict}
 _TEMPORARY = Path("/tmp")
 _PROBE = ".probe"  # written to see that it can be
@@ -64,10 +66,6 @@ class Running:
     def secret(self) -> str:
         """What it takes to speak to it; empty: nothing. Raises `HieraxError` if its key cannot be read."""
         return "" if self.open else read_key(key_path(self.run))
-
-    @property
-    def alive(self) -> bool:
-        return is_process(self.pid)
 
 
 def write_run(state: Path, run: Run) -> None:
@@ -149,12 +147,16 @@ def passing_state() -> Iterator[Path]:
 
 @contextmanager
 def known_here(running: Running, secret: str = "") -> Iterator[None]:
-    """Have a run be known here, as `register` does, until the block ends."""
-    with unswept(register(running, secret).parent):
-        try:
+    """Have a run be known here, as `register` does, until the block ends, or this process does, however that is."""
+    folder = _fit_folder()
+    with errors_named(folder):
+        alive = shown_alive(folder / f"{running.run}{_ALIVE}")  # before anybody finds it, and looks whether it is
+    try:
+        with unswept(register(running, secret).parent):
             yield
-        finally:
-            forget(running)
+    finally:
+        forget(running)
+        os.close(alive)
 
 
 def register(running: Running, secret: str = "") -> Path:
@@ -171,7 +173,7 @@ def register(running: Running, secret: str = "") -> Path:
 def forget(running: Running) -> None:
     """Have a run not be known here any more; its key is good for nothing."""
     for folder in launch_folders():
-        for suffix in (".json", _KEY):
+        for suffix in (".json", _KEY, _ALIVE):
             with suppress(OSError):
                 (folder / f"{running.run}{suffix}").unlink()
 
@@ -204,7 +206,7 @@ def known_runs() -> list[Running]:
         for path in sorted(folder.glob("*.json")):
             try:
                 running = _running(json.loads(read_private(path)))
-                is_alive = running.alive
+                is_alive = is_there(path.with_suffix(_ALIVE), running.pid)
             except (OSError, ValueError, TypeError, UnsafeFileError, RecursionError):
                 continue  # being written or removed, of another version, or another user's
             if is_alive:

@@ -202,8 +202,8 @@ class Supervisor:
         """Say that it is over: in the log, and to processes that were started elsewhere, as nobody else does."""
         over = "the run is over" if self._why is None else "the run is broken off"
         how = "" if self._why is None else " by a signal" if self._is_interrupted else f": {self._why}"
-        self._log.close(f"{over}{how}")
         self._audit.close(f"{over}{how}")
+        self._log.close(f"{over}{how}")  # last: who follows logs reads until then
         members = self._processes.members.items()
         reasons = {token: f"{name}: {over}" for name, token in members if self._processes.child(token) is None}
         self._hub.dismiss_all(reasons)

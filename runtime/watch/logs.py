@@ -24,8 +24,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.host.private_files import UnsafeFileError, open_result, private_folder
-from hierax.runtime.host.run_folder import ABOUT, LOGS, begin_run, run_folder
+from hierax.runtime.host.private_files import UnsafeFileError, open_result, private_folder, shown_alive
+from hierax.runtime.host.run_folder import ABOUT, ALIVE, LOGS, begin_run, run_folder
 
 OURS = "hierax"  # the logger whose records are counted: a node's own records are its user's matter
 FIRST = 20  # so many records of a kind go through; then one for each pause
@@ -275,6 +275,7 @@ class LaunchLog:
     handler: logging.Handler | None
     run: str
     epoch: Callable[[], int]
+    alive: int | None = None  # descriptor by which the launch is shown alive, closed with the log
 
     def write(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch", **more: Any) -> None:
         """Write a line; `more` are fields of its own."""
@@ -290,6 +291,9 @@ class LaunchLog:
             self.write(message)
         if self.handler is not None:
             self.handler.close()
+        if self.alive is not None:
+            os.close(self.alive)
+            self.alive = None
 
 
 def log_of_run(run: str, name: str, epoch: Callable[[], int]) -> LaunchLog:
@@ -303,11 +307,13 @@ def begin_log(
 ) -> LaunchLog:
     """Make the folder of a launch, and its log; it goes on without where that cannot be, which `tell` tells people."""
     about = {"hierarchy": hierarchy, "deployment": str(deployment.resolve()), "pid": os.getpid()}
+    alive = None
     try:
+        alive = shown_alive(run_folder(run) / ALIVE)  # before anybody finds it, and looks whether it is
         folder = begin_run(run, about)
     except (OSError, UnsafeFileError) as error:
         tell(f"{run_folder(run)}: there will be no logs: {getattr(error, 'strerror', None) or error}")
-        return LaunchLog(None, run, epoch)
-    log = LaunchLog(open_log(folder / LOGS, LAUNCH_FILE), run, epoch)
+        return LaunchLog(None, run, epoch, alive)
+    log = LaunchLog(open_log(folder / LOGS, LAUNCH_FILE), run, epoch, alive)
     log.write(f"{hierarchy} is launched from {about['deployment']}")
     return log

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from hierax.runtime.host.private_files import shown_alive
 from hierax.runtime.host.run_folder import (
+    ALIVE,
     KEPT_RUNS,
     begin_run,
     is_alive,
@@ -58,6 +60,18 @@ def test_what_cannot_be_read_is_over(about: str, alive: bool) -> None:
     folder = begin(1)
     (folder / "about.json").write_text(about)
     assert is_alive(folder) is alive
+
+
+def test_a_launch_is_alive_by_its_lock_and_not_by_the_number_of_its_process() -> None:
+    elsewhere, reused = begin(1), begin(2, os.getpid())
+    alive = shown_alive(elsewhere / ALIVE)
+    os.close(shown_alive(reused / ALIVE))
+    assert (is_alive(elsewhere), is_alive(reused)) == (True, False)
+    for number in range(3, KEPT_RUNS + 4):
+        begin(number)
+    assert (elsewhere.exists(), reused.exists()) == (True, False)
+    os.close(alive)
+    assert not is_alive(elsewhere)
 
 
 @pytest.mark.parametrize(

@@ -203,6 +203,21 @@ WITHOUT = {
 }
 
 
+def test_who_looks_from_another_container_leaves_a_launch_known(tmp_path: Path) -> None:
+    container = ("unshare", "--pid", "--fork", "--mount-proc")
+    if not can(*container):
+        pytest.skip("this machine does not let processes be numbered anew")
+    with Launched(tmp_path, paced(tmp_path, "letters"), "--epochs", "1000000") as launch:
+        launch.until_epoch(3)
+        looked = [hierax(tmp_path, "ps", "--format", "json", prefix=prefix) for prefix in (container, ())]
+        assert [len(json.loads(done.stdout)["runs"]) for done in looked] == [1, 1], looked
+        os.kill(launch.process.pid, signal.SIGKILL)
+        launch.end()
+        gone = hierax(tmp_path, "ps", prefix=container)
+        assert gone.stdout == "no launch runs on this machine\n"
+        assert list((tmp_path / "hierax").iterdir()) == []
+
+
 @pytest.mark.parametrize("what", WITHOUT)
 def test_a_launch_goes_on_without_shared_memory(tmp_path: Path, what: str) -> None:
     prefix = WITHOUT[what]

@@ -4,6 +4,7 @@ import json
 import os
 import stat
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from hierax.runtime.launch.run_file import (
     Run,
     Running,
     held_state,
+    known_here,
     known_runs,
     make_state,
     read_run,
@@ -23,6 +25,8 @@ from hierax.runtime.launch.run_file import (
 from hierax.runtime.recovery.disk import MappedFile
 
 NOBODY = 65534
+NO_PROCESS = 2**22 - 1
+SECRET = "ab12" * 8
 RUN = Run("/house.yaml", [], 3, 10, "", {}, {})
 HERE = Running("aaaa0000", "house", "tcp/127.0.0.1:1", os.getpid(), "/house.yaml", [])
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
@@ -46,6 +50,16 @@ def test_what_runs_is_registered_for_this_user_alone(temporary: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
     assert [each.run for each in known_runs()] == ["aaaa0000"]
+
+
+def test_a_launch_is_known_by_its_lock_and_not_by_the_number_of_its_process(temporary: Path) -> None:
+    elsewhere = replace(HERE, run="bbbb0000", pid=NO_PROCESS)  # as one in another container looks
+    with known_here(elsewhere, SECRET):
+        assert [(each.run, each.secret) for each in known_runs()] == [("bbbb0000", SECRET)]
+    path = register(HERE, SECRET)  # killed, and another process has its number
+    path.with_suffix(".lock").touch(0o600)
+    assert known_runs() == []
+    assert list(path.parent.iterdir()) == []
 
 
 @root_only
