@@ -48,6 +48,7 @@ class LaunchOptions:
     output: Path | None = None  # folder for the states, digests and what probes write; None: nothing is written
     host: str | None = None  # address of this machine at which processes on others may join; None: none may
     overrides: Sequence[str] = ()  # with which the deployment file was read, for those who read it again
+    passing: bool = False  # whether the folder of the checkpoints goes with the run
 
 
 class Orders:

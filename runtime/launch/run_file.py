@@ -155,7 +155,7 @@ def known_here(running: Running, secret: str = "") -> Iterator[None]:
         with unswept(register(running, secret).parent):
             yield
     finally:
-        forget(running)
+        forget(running.run)
         os.close(alive)
 
 
@@ -170,12 +170,12 @@ def register(running: Running, secret: str = "") -> Path:
     return path
 
 
-def forget(running: Running) -> None:
+def forget(run: str) -> None:
     """Have a run not be known here any more; its key is good for nothing."""
     for folder in launch_folders():
         for suffix in (".json", _KEY, _ALIVE):
             with suppress(OSError):
-                (folder / f"{running.run}{suffix}").unlink()
+                (folder / f"{run}{suffix}").unlink()
 
 
 def key_path(run: str) -> Path:
@@ -212,7 +212,7 @@ def known_runs() -> list[Running]:
             if is_alive:
                 found[running.run] = running
             else:
-                forget(running)
+                forget(running.run)
     return [found[run] for run in sorted(found)]
 
 

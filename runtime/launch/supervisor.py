@@ -1,6 +1,7 @@
 """Launching a deployment: each node its own process, or as it says, kept alive until the run is over."""
 
 import os
+import shutil
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -8,6 +9,7 @@ from contextlib import ExitStack, asynccontextmanager
 from functools import partial
 from pathlib import Path
 from secrets import token_hex
+from typing import NoReturn
 
 import anyio
 
@@ -30,7 +32,16 @@ from hierax.runtime.launch.recorder_process import RecorderChild, RecordingReque
 from hierax.runtime.launch.renewal import Shown, one_of_each, renew_again_and_again
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
-from hierax.runtime.launch.run_file import Run, Running, held_state, key_path, known_here, passing_state, warning_of
+from hierax.runtime.launch.run_file import (
+    Run,
+    Running,
+    forget,
+    held_state,
+    key_path,
+    known_here,
+    passing_state,
+    warning_of,
+)
 from hierax.runtime.transport.access_control import access_control
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
@@ -79,13 +90,14 @@ def launch(
         found = stack.enter_context(reached(deployment))
         if found.links and host is None:
             host = found.address(deployment.hosts.values())
+        passing = state is None
         if state is None:
             state = stack.enter_context(passing_state())
         stack.enter_context(held_state(state, resumed is not None, overwrite))
         if output is not None and resumed is None:
             write_roster(output, deployment.roster)
         limit = deployment.epochs if epochs is None else epochs
-        options = LaunchOptions(seed, limit, state, output, host, overrides)
+        options = LaunchOptions(seed, limit, state, output, host, overrides, passing)
         run_id = token_hex(4)
         secret = "" if deployment.open else new_secret(authority=bool(host) and not deployment.insecure)
         keys = Keys(deployment.name, run_id)
@@ -342,9 +354,16 @@ class Supervisor:
                 self._signals += 1
                 if self._signals > 1:
                     await self._processes.kill_all()
-                    remove_orphaned_segments()
-                    leave_at_once()
+                    self._leave_at_once()
                 self._tasks.start_soon(self._end_early)
+
+    def _leave_at_once(self) -> NoReturn:
+        """End this process from within all blocks, with nothing left behind that they would have removed."""
+        remove_orphaned_segments()
+        forget(self._orders.run_id)
+        if self._orders.options.passing:
+            shutil.rmtree(self._orders.options.state, ignore_errors=True)
+        leave_at_once()
 
     async def _end_early(self) -> None:
         """A signal has come: the run ends with the epoch under way, or with the one before it."""

@@ -129,7 +129,7 @@ def test_a_launch_that_is_over_since_it_was_listed_is_left_out(
 ) -> None:
     launches.runs("aaaa1111", "tcp/127.0.0.1:1")
     listed = [known_runs(), []]
-    forget(listed[0][0])  # and with it its key
+    forget(listed[0][0].run)  # and with it its key
     monkeypatch.setattr(changes, "known_runs", lambda: listed.pop(0))
     assert main(["ps"]) == 0
     assert capsys.readouterr().out == "no launch runs on this machine\n"

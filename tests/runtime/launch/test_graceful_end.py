@@ -162,7 +162,8 @@ def test_what_was_broken_off_can_be_resumed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", ["run", "launch"])
-def test_a_second_signal_ends_it_at_once(tmp_path: Path, mode: str) -> None:
+def test_a_second_signal_ends_it_at_once(tmp_path: Path, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     file = tmp_path / "two.yaml"
     file.write_text(STUCK)
     with Command(tmp_path, mode, str(file), *ENDLESS) as run:
@@ -173,6 +174,8 @@ def test_a_second_signal_ends_it_at_once(tmp_path: Path, mode: str) -> None:
         assert run.end() == ""
         assert run.process.returncode == 130
         assert "Traceback" not in run.err
+    left = [*tmp_path.glob("hierax-*"), *tmp_path.glob("hierax/*")]
+    assert not left, "checkpoints, and what the launch is found by, go with it"
 
 
 def _is_caught(pid: int) -> bool:
