@@ -24,6 +24,7 @@ from hierax.schemas.messages import Message, decode_message, encode_message
 
 ROOM = 1024  # how many messages wait for a node; who sends one more waits
 ROOM_S = 0.001  # how often it looks whether there is room
+PATIENCE_S = 0.1  # how long it waits where too many bytes do: a node that is in no operator has taken some by then
 
 _NUMBER = struct.Struct("<I")
 
@@ -34,6 +35,11 @@ class Handed(NamedTuple):
     key: str  # that it would have been put on
     data: bytes  # the message, without large arrays
     arrays: list[NDArray[Any]]  # these
+
+    @property
+    def size(self) -> int:
+        """By how much it counts for what may wait; of an array that several wait for, the memory is there once."""
+        return len(self.data) + sum(array.nbytes for array in self.arrays)
 
     @property
     def message(self) -> Message:
@@ -78,12 +84,18 @@ class SharedInbox:
         self._stash: deque[Item | None] = deque()
         self._counting = threading.Lock()
         self._bytes = 0
+        self._taken = 0  # how many items the node's thread has taken
+        self._waited_at = -1  # how many it had when somebody has waited in vain for room
         self._dropped: set[str] = set()
         self._closed = False
 
     def put(self, handed: Handed, sender: "SharedInbox") -> None:
         """A message from another node of the process, which waits while the queue is full. Meanwhile there is room
-        with it: who waits for one another in a circle would never go on."""
+        with it: who waits for one another in a circle would never go on. What is more than `WAITING_BYTES` is dropped
+        after a moment: what is put aside counts, too, so that in a circle nobody may wait for long."""
+        if not self._has_room_soon(handed, sender):
+            self._drop(handed.key)
+            return
         while self._is_full():
             sender.stash()
             time.sleep(ROOM_S)
@@ -98,14 +110,8 @@ class SharedInbox:
     def arrive(self, sample: zenoh.Sample) -> None:
         """A message that came by the network, in a thread of Zenoh's. It waits while the queue is full; what is more
         than `WAITING_BYTES` is dropped."""
-        size = bytes_of(sample)
-        with self._counting:
-            full = bool(self._bytes) and self._bytes + size > WAITING_BYTES
-            if not full:
-                self._bytes += size
-            elif str(sample.key_expr) in self._wanted():
-                self._dropped.add(str(sample.key_expr))
-        if full:
+        if not self._has_room(bytes_of(sample)):
+            self._drop(str(sample.key_expr))
             return
         while self._is_full():
             time.sleep(ROOM_S)
@@ -131,9 +137,10 @@ class SharedInbox:
                 item = self._stash.popleft() if self._stash else self._queue.get(waits and not self._closed)
             except Empty:
                 return None
-            if isinstance(item, zenoh.Sample):
+            self._taken += 1
+            if item is not None:
                 with self._counting:
-                    self._bytes -= bytes_of(item)
+                    self._bytes -= item.size if isinstance(item, Handed) else bytes_of(item)
             if item is not None or waits:
                 return item
 
@@ -149,6 +156,29 @@ class SharedInbox:
         """Take in nothing any more; who waits goes on."""
         self._closed = True
         self.interrupt()
+
+    def _has_room(self, size: int) -> bool:
+        """Whether so many bytes more may wait; then they do."""
+        with self._counting:
+            room = not self._bytes or self._bytes + size <= WAITING_BYTES
+            self._bytes += size if room else 0
+            return room
+
+    def _has_room_soon(self, handed: Handed, sender: "SharedInbox") -> bool:
+        """As `_has_room`, waited for a moment, but only once until the node's thread takes something."""
+        until_s = time.monotonic() + PATIENCE_S
+        while not self._has_room(handed.size):
+            if self._taken == self._waited_at or self._closed or time.monotonic() > until_s:
+                self._waited_at = self._taken
+                return False
+            sender.stash()
+            time.sleep(ROOM_S)
+        return True
+
+    def _drop(self, key: str) -> None:
+        if key in self._wanted():
+            with self._counting:
+                self._dropped.add(key)
 
     def _is_full(self) -> bool:
         return self._queue.qsize() >= ROOM and not self._closed

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from secrets import token_hex
 
+import numpy as np
 import pytest
 import zenoh
 from support.live import until
@@ -15,7 +16,7 @@ from support.sockets import break_link
 from support.zenoh_ports import open_zenoh
 
 from hierax.runtime.testing.transport import check_transport, receive
-from hierax.runtime.transport import inbox
+from hierax.runtime.transport import inbox, shared_process
 from hierax.runtime.transport.port import MemoryNetwork, MemoryPort, Port, TransportError
 from hierax.runtime.transport.zenoh_port import ZenohPort
 from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES
@@ -163,6 +164,33 @@ def test_zenoh_keeps_bytes_up_to_a_bound_for_a_node_that_is_elsewhere_and_has_th
             return message in came
 
         until(comes, "the message that is said again")
+    finally:
+        low.close()
+        up.close()
+    greet.join()
+
+
+def test_what_nodes_of_one_process_hand_over_is_bounded_by_bytes_and_the_rest_said_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ports = open_zenoh([("low", "up")], Keys("conformance", "beside" + token_hex(4)), together=True)
+    low, up = ports["low"], ports["up"]
+    monkeypatch.setattr(shared_process, "WAITING_BYTES", 1 << 20)
+    again = Message(Header(OBSERVATIONS, "low", "up", 9), ("again",))
+    low.on_mended(lambda neighbour: low.send(again))
+    try:
+        for epoch in range(5):
+            low.send(Message(Header(OBSERVATIONS, "low", "up", epoch), (np.zeros(300_000, np.uint8),)))
+        up.relieve()
+        assert not up.ready, "some of it is dropped"
+        came = [message.header.epoch for message in iter(up.poll, None)]
+        assert came == [0, 1, 2]
+        threading.Thread(target=low.receive, daemon=True).start()
+        greet = threading.Thread(target=greet_for_a_while, args=[[low, up]], daemon=True)
+        greet.start()
+        said_again = receive(up)
+        assert said_again is not None
+        assert said_again.header == again.header
     finally:
         low.close()
         up.close()

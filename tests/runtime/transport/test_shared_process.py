@@ -143,3 +143,53 @@ def test_what_came_by_the_network_is_bounded_by_its_bytes(monkeypatch: pytest.Mo
     assert box.take(False) is None
     box.arrive(cast(zenoh.Sample, Came("wanted", 150_000)))
     assert isinstance(box.take(False), Came)
+
+
+def test_what_is_handed_over_is_bounded_by_its_bytes_also_where_it_is_put_aside(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(shared_process, "WAITING_BYTES", 200_000)
+    box, picture = inbox("wanted"), np.zeros(120_000, np.uint8)
+    for number, key in enumerate(("wanted", "wanted", "other")):
+        box.put(hand_over(key, message(number, picture)), inbox())
+        box.stash()
+    assert box.relieve(("wanted",)) == {"wanted"}
+    assert box.relieve(("wanted",)) == set()
+    first = box.take(False)
+    assert isinstance(first, Handed)
+    assert first.message.payload[0] == 0
+    assert box.take(False) is None
+    box.put(hand_over("wanted", message(3, np.zeros(300_000, np.uint8))), inbox())
+    assert isinstance(box.take(False), Handed), "any message has room where nothing else waits"
+
+
+def test_who_hands_over_too_many_bytes_waits_a_moment_for_a_node_that_is_in_no_operator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(shared_process, "WAITING_BYTES", 200_000)
+    monkeypatch.setattr(shared_process, "PATIENCE_S", WAIT_S)
+    box, sender = inbox("wanted"), inbox()
+    box.put(hand_over("wanted", message(np.zeros(150_000, np.uint8))), sender)
+    waiting = threading.Event()
+    monkeypatch.setattr(sender, "stash", waiting.set)
+    more = hand_over("wanted", message("more", np.zeros(150_000, np.uint8)))
+    sending = threading.Thread(target=box.put, args=[more, sender], daemon=True)
+    sending.start()
+    assert waiting.wait(WAIT_S)
+    assert box.take(False) is not None
+    assert box.take(True) is more
+    assert box.relieve(("wanted",)) == set()
+
+
+def test_nobody_waits_a_second_time_for_a_node_that_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_process, "WAITING_BYTES", 200_000)
+    monkeypatch.setattr(shared_process, "PATIENCE_S", 0.0)
+    box = inbox("wanted")
+    picture = hand_over("wanted", message(np.zeros(150_000, np.uint8)))
+    box.put(picture, inbox())
+    box.put(picture, inbox())
+    monkeypatch.setattr(shared_process, "PATIENCE_S", 10 * WAIT_S)
+    sending = threading.Thread(target=box.put, args=[picture, inbox()], daemon=True)
+    sending.start()
+    sending.join(WAIT_S)
+    assert not sending.is_alive()
