@@ -61,14 +61,16 @@ class Log:
             if not append:
                 self._file.truncate(0)
         # Go on behind what is there, but for an entry that was cut off; this is looked at when something is written, as
-        # until then another process may still be writing.
+        # until then another process may still be writing. What is whole now is read now, before an epoch waits for it.
         self._behind = append
+        with errors_named(self._path):
+            self._whole = _whole_bytes(path) if append else 0
 
     def write(self, *fields: int | bytes) -> None:
         try:  # entering a context would take longer, and this runs in every epoch
             if self._behind:
                 self._behind = False
-                os.truncate(self._path, _whole_bytes(self._path))
+                os.truncate(self._path, _whole_bytes(self._path, self._whole))
             self._file.write(msgpack.packb(fields))
         except OSError:
             with errors_named(self._path):
@@ -84,15 +86,16 @@ class Log:
             self._file.close()
 
 
-def _whole_bytes(path: Path) -> int:
-    """Up to where a stream of msgpack arrays holds whole ones."""
+def _whole_bytes(path: Path, known: int = 0) -> int:
+    """Up to where a stream of msgpack arrays holds whole ones; up to `known`, if it is that long, it does."""
     with path.open("rb") as file:
+        whole = start = known if known <= os.fstat(file.fileno()).st_size else 0
+        file.seek(start)
         unpacker = msgpack.Unpacker(file, max_buffer_size=MAX_MESSAGE_BYTES)
-        whole = 0
         try:
             while True:
                 unpacker.skip()
-                whole = unpacker.tell()
+                whole = start + unpacker.tell()
         except (msgpack.OutOfData, ValueError):
             return whole
 

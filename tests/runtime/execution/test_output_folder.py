@@ -2,9 +2,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgpack
 import pytest
 
-from hierax.runtime.execution.output_folder import DIGESTS, ROSTER, STATES, SUMMARY, OutputError, claimed_output
+from hierax.runtime.execution.output_folder import (
+    DIGESTS,
+    ROSTER,
+    STATES,
+    SUMMARY,
+    Log,
+    OutputError,
+    claimed_output,
+)
 from hierax.runtime.host.private_files import HeldError, UnsafeFileError
 
 
@@ -71,3 +80,29 @@ def test_links_in_it_are_not_followed(tmp_path: Path) -> None:
     with pytest.raises(UnsafeFileError, match="is a symbolic link"), claimed_output(tmp_path, overwrite=True):
         pass
     assert victim.read_text() == "precious"
+
+
+def test_a_log_that_is_gone_on_with_is_read_when_it_is_opened_and_no_second_time(tmp_path: Path) -> None:
+    path = tmp_path / "log.msgpack"
+    first, second, third = (msgpack.packb((epoch, bytes(100))) for epoch in (1, 2, 3))
+    path.write_bytes(first + second[:50])
+    log = Log(path, append=True)
+    never_used = b"\xc1"
+    with path.open("r+b") as file:  # as the process before may, it goes on; and whoever read the beginning, fails
+        file.write(never_used)
+        file.seek(len(first))
+        file.write(second + third[:50])
+    log.write(3, bytes(100))
+    log.close()
+    assert path.read_bytes() == never_used + first[1:] + second + third
+
+
+def test_a_log_that_has_become_shorter_meanwhile_is_read_anew(tmp_path: Path) -> None:
+    path = tmp_path / "log.msgpack"
+    first, second = (msgpack.packb((epoch, bytes(100))) for epoch in (1, 2))
+    path.write_bytes(first + second)
+    log = Log(path, append=True)
+    path.write_bytes(first + second[:50])
+    log.write(2, bytes(100))
+    log.close()
+    assert path.read_bytes() == first + second
