@@ -16,6 +16,7 @@ from hierax.runtime.host.run_folder import run_folder
 from hierax.runtime.host.run_secret import certificates_of, end_of, issued
 from hierax.runtime.launch.doors import NO_DOORS, Doors, doors_of
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, NodeOrder
+from hierax.runtime.launch.recorders import Recorders
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -71,7 +72,7 @@ class Orders:
         self.options = options  # of the launch
         self.overrides = public_settings(options.overrides, deployment.zenoh)  # of secret ones the paths alone
         self.resumed_after = 0  # the last epoch that was committed before the run was resumed
-        self.recorders: set[int] = set()  # the processes that record the run, or have; 0: one on another machine
+        self.recorders = Recorders()  # those who record the run, wherever they are
         self.resumes = resumed is not None  # whether the run goes on with one that was written down
         self._terms = dict(deployment.terms)
         self._lineages: dict[str, str] = {}
@@ -134,7 +135,7 @@ class Orders:
             on_uncertain_act=deployment.on_uncertain_act,
             processes=dict(processes or {}) if is_world else {},
             alone=tuple(sorted(name for name, each in deployment.terms.items() if each.fails_alone)),
-            recorded=self._is_recorded(),
+            recorded=self.recorders.are_there,
         )
 
     @cached_property
@@ -191,7 +192,7 @@ class Orders:
 
     def anew(self, order: NodeOrder, token: str, **changes: Any) -> NodeOrder:
         """The order of the process that comes in the place of one that was killed; as that was before the run began."""
-        return replace(order, process=token, recorded=self._is_recorded(), **changes)
+        return replace(order, process=token, recorded=self.recorders.are_there, **changes)
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""
@@ -257,9 +258,6 @@ class Orders:
     def info(self, from_start: bool) -> RunInfo:
         """What a recording says of the run. `from_start`: whether it begins with the run."""
         return RunInfo.of(self.deployment, self.run_id, "launch", self.options.seed, self.overrides, from_start)
-
-    def _is_recorded(self) -> bool:
-        return any(not pid or Path(f"/proc/{pid}").exists() for pid in self.recorders)
 
     def _owner_policy(self) -> OwnerPolicy:
         deployment = self.deployment

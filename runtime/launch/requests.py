@@ -116,7 +116,7 @@ class Requests:
             if type(pid) is not int or not 0 <= pid < MAX_PID:
                 raise SchemaError(f"expected a process's number, got {shown(pid)}", "question.pid")
             orders = self._processes.orders
-            orders.recorders.add(pid)
+            orders.recorders.expect()
             return {**orders.info(from_start=False).plain(), "access": orders.access.plain()}
         if ask == AWAIT:
             request = query.get("request")

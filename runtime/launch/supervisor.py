@@ -105,6 +105,7 @@ def launch(
         hub = Hub(keys, deployment.zenoh, progress, host, secret, access)
         stack.callback(hub.close)
         orders = Orders(deployment, run_id, hub.endpoint, options, resumed, secret)
+        hub.watch_recorders(orders.recorders.hear_of)
         roster = orders.roster()
         orders.save()
         try:
@@ -246,7 +247,7 @@ class Supervisor:
         info = orders.info(from_start=not orders.resumes)
         secret, access = orders.recorder_secret(), orders.access.plain()
         await self._recorder.start(info, orders.hub, self._deployment.zenoh, secret, access)
-        orders.recorders.add(self._recorder.pid)
+        orders.recorders.expect()
         self._tasks.start_soon(self._recorder.listen)
 
     def _shown(self) -> list[Shown]:

@@ -57,6 +57,8 @@ class Hub:
         self._queryables: list[Any] = []
         self._watcher: Any = None
         self._on_gone: Callable[[str, str], object] | None = None
+        self._recorders: Any = None
+        self._notes = self._session.declare_publisher(keys.notes, allowed_destination=zenoh.Locality.REMOTE)
         self._subscribers = []
         if access is not None:
             # the lists of all who belong keep what they say from here; who has none is refused, and so told of
@@ -99,6 +101,10 @@ class Hub:
         self._on_gone = on_gone
         liveliness = self._session.liveliness()
         self._watcher = liveliness.declare_subscriber(self._keys.alive("*"), changed, history=True)
+
+    def watch_recorders(self, on_change: Callable[[bool], object]) -> None:
+        """Tell whenever somebody begins to record, the only ones who hear notes, and when nobody does any more."""
+        self._recorders = self._notes.declare_matching_listener(lambda status: on_change(bool(status.matching)))
 
     def hears_of(self, process: str) -> bool:
         return process in self._living
@@ -144,7 +150,7 @@ class Hub:
     def note(self, what: str) -> None:
         """Tell whoever records what happens, if somebody does."""
         try:
-            self._session.put(self._keys.notes, encode_value(what))
+            self._notes.put(encode_value(what))
         except zenoh.ZError as error:
             _log.info("a note is not told: %s", error)
 

@@ -111,6 +111,16 @@ def test_a_launch_is_recorded_from_the_middle_on(start: Start, tmp_path: Path) -
     live.ends()
 
 
+def test_whose_recorder_elsewhere_has_ended_waits_for_none_when_it_comes_back(start: Start, tmp_path: Path) -> None:
+    """It may be late for its place in the run: a process waits 10 s for a recorder that does not come."""
+    live = start("--set", "restart.on_loss=stop", "--set", "restart.rejoin_timeout=9")
+    reaches = ("--connect", live.endpoint, "--key", str(live.key))
+    done = live.hierax("record", *reaches, "-o", str(tmp_path / "part.mcap"), "--epochs", "5")
+    assert done.returncode == 0, done.stderr
+    kill(live, "low")
+    live.ends()
+
+
 def test_what_is_left_out_of_a_launch_is_said_and_the_rest_is_whole(start: Start, tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     live = start("--record", str(file), "--check", "--exclude", "obs/world/*", "--exclude", "steps/high")
