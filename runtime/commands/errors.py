@@ -2,15 +2,18 @@
 
 import os
 import sys
+import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.streams import StandardOutputError, drop_output
+from hierax.runtime.host.streams import StandardOutputError, drop_output, own_errors
 from hierax.schemas.errors import SchemaError
 
 OK, FAILED, USAGE, BUG = range(4)
+_LINE_ANEW = "\r\x1b[2K"  # on a terminal a progress bar may stand there, which is drawn again after it
 TRACEBACK_VARIABLE = "HIERAX_TRACEBACK"  # set to anything, expected failures show where in the code they arose, too
 
 
@@ -70,3 +73,26 @@ def _say(line: str) -> None:
 def notify(what: str) -> None:
     """Tell people something on standard error while a command goes on."""
     _say(f"hierax: {what}")
+
+
+@contextmanager
+def unhindered() -> Iterator[Callable[[str], None]]:
+    """What tells people things as `notify` does, for who keeps processes: where nobody reads standard error, as on a
+    terminal that is paused, lines are left out, and nobody waits."""
+    from hierax.runtime.watch.prints import Console
+
+    descriptor = own_errors()
+    if descriptor is None:  # who has called it has streams of another make
+        yield notify
+        return
+    console, telling = Console(descriptor), threading.Lock()
+    begin = _LINE_ANEW if os.isatty(descriptor) else ""
+
+    def tell(what: str) -> None:
+        with telling:
+            console.write(f"{begin}hierax: {printable(what)}\n".encode(errors="backslashreplace"))
+
+    try:
+        yield tell
+    finally:
+        console.close()

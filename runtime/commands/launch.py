@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hierax.runtime.commands.errors import OK, CommandError, notify
+from hierax.runtime.commands.errors import OK, CommandError, notify, unhindered
 from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, recording_of, report_outcome, selection_of
 from hierax.runtime.launch.run_file import Run, has_run, read_run
@@ -61,12 +61,12 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
     if options.traffic is not None and options.processes is None:
         raise CommandError("--traffic: only with --processes, whose cut it decides")
     selection = selection_of(options, options.record is not None)
-    with claimed_file(options.record, options.overwrite) as target:
+    with claimed_file(options.record, options.overwrite) as target, unhindered() as tell:
         recording = RecordingRequest(target, options.check, selection) if target or options.check else None
         runner = functools.partial(
             _placed,
             options,
-            notify=notify,
+            notify=tell,
             state=None if state is None else state.absolute(),
             resumed=run,
             host=options.host,
@@ -78,7 +78,7 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
         if run is not None and output is not None:
             goes_on = output.absolute() == Path(run.output).absolute()
         log_refusals()
-        with refused.watched(notify):
+        with refused.watched(tell):
             code = run_deployment(runner, file, options, goes_on)
     if recording is None:
         return code

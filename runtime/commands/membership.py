@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from hierax.runtime.commands.errors import CommandError, notify
+from hierax.runtime.commands.errors import CommandError, unhindered
 from hierax.runtime.commands.options import SNIPPET, Format, Node, RunOptions, Snippet, argument, offers, option
 from hierax.runtime.commands.show import RIGHT, by_process, print_json, print_table
 from hierax.runtime.commands.which_launch import Meant, client_at, launch_meant, own_deployment
@@ -62,7 +62,8 @@ def attach(
     def await_change() -> None:
         print_epoch(_ask(launch, {"ask": "await", "request": request}), what, options.output_format)
 
-    return run_attached(offer.get("orders"), request, named, terms, await_change, notify)
+    with unhindered() as tell:
+        return run_attached(offer.get("orders"), request, named, terms, await_change, tell)
 
 
 @offers("run", "connect", "key", "output_format")

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import termios
 
 import pytest
 
-from hierax.runtime.commands.errors import TRACEBACK_VARIABLE, CommandError, UsageError, exit_code
+from hierax.runtime.commands import errors
+from hierax.runtime.commands.errors import TRACEBACK_VARIABLE, CommandError, UsageError, exit_code, unhindered
 from hierax.schemas.errors import SchemaError
 
 
@@ -54,6 +57,25 @@ def test_a_bug_has_its_traceback(capsys: pytest.CaptureFixture[str]) -> None:
 def test_ctrl_c(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code(lambda: failing(KeyboardInterrupt())) == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_a_terminal_that_is_paused_holds_nobody_up_who_keeps_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen, terminal = os.openpty()
+    monkeypatch.setattr(errors, "own_errors", lambda: terminal)
+    with unhindered() as tell:
+        termios.tcflow(terminal, termios.TCOOFF)
+        for number in range(1000):
+            tell(f"notice {number}")
+        termios.tcflow(terminal, termios.TCOON)
+        tell("read \x1b[2J again")
+    shown = os.read(screen, 1 << 16).replace(b"\r\x1b[2K", b"").decode().splitlines()
+    assert shown == [
+        "hierax: notice 0",
+        "999 lines were left out here, as nobody read them",
+        "hierax: read \\x1b[2J again",
+    ]
+    os.close(screen)
+    os.close(terminal)
 
 
 def test_a_reader_that_has_gone_is_no_bug() -> None:

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import fcntl
 import io
 import json
 import os
+import select
 import subprocess
 import sys
 from pathlib import Path
@@ -179,6 +181,36 @@ def test_a_launch_whose_console_nobody_reads_goes_on(tmp_path: Path) -> None:
     finally:
         launch.kill()
         launch.communicate()
+
+
+def test_a_process_comes_back_where_nobody_reads_that_it_has_died(tmp_path: Path) -> None:
+    dying = """
+        import os
+        if tick.epoch == 2 and not os.path.exists("dead"):
+            os.mkdir("dead")
+            os.kill(os.getpid(), 9)
+        return belief"""
+    (tmp_path / "talking.py").write_text(TALKING.replace("        return belief", dying))
+    (tmp_path / "talking.yaml").write_text(FILE)
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, select.PIPE_BUF)
+    os.write(writing, bytes(fcntl.fcntl(writing, fcntl.F_GETPIPE_SZ)))  # there is no room from the beginning
+    launch = subprocess.Popen(
+        [*command("launch", tmp_path), "--epochs", "4"],
+        stdout=subprocess.PIPE,
+        stderr=writing,
+        cwd=tmp_path,
+        env=surroundings(tmp_path),
+    )
+    try:
+        told, _ = launch.communicate(timeout=60)
+        assert json.loads(told)["epochs"] == 4
+        assert (tmp_path / "dead").exists()
+    finally:
+        launch.kill()
+        launch.communicate()
+        os.close(reading)
+        os.close(writing)
 
 
 def test_in_one_process_it_has_the_name_of_the_node_whose_turn_it_is(tmp_path: Path) -> None:
