@@ -316,21 +316,27 @@ class RosterSupervisor(ProcessSupervisor):
         if not self.begun.is_set():
             self.members = {**self.members, **tokens}
             again = await self.start_together([self.orders.anew(each.order, tokens[each.name]) for each in children])
-            for child in again:
-                for proposal in self.changes.proposals if child.name == self._world else ():
-                    await child.send(proposal)
+            await self._propose_to(again)
             return
         # those that live, as far as is known here: of those started elsewhere, whether they are heard of
         here = [child.token for child in self.children if child.alive and child.name != self._world]
         there = [token for token in self.members.values() if self.state(token) is ProcessState.ELSEWHERE]
         living = {each: each for each in (*here, *there)}
         again = await self.start_together([self._order_again(child, tokens[child.name], living) for child in children])
+        await self._propose_to(again)
         for child in again:
             if child.order.life == frames.TO_REPORT:
                 await self.stop(child)
         self._heard_s = self._clock()
         if self._world in tokens:
             await self._send_deaths(living)
+
+    async def _propose_to(self, children: Sequence[Child]) -> None:
+        """Tell a new process of the world's, if it is among these, what is asked for: what came after its order was
+        written has reached nobody. What it is told twice it makes once."""
+        for child in children:
+            for proposal in self.changes.proposals if child.name == self._world else ():
+                await child.send(proposal)
 
     def _order_again(self, child: Child, token: str, living: Mapping[str, str]) -> frames.NodeOrder:
         name = child.name

@@ -16,8 +16,8 @@ from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.transport.hub import Hub
-from hierax.schemas.control import Control, Lost
-from hierax.schemas.roster import Reference, Roster
+from hierax.schemas.control import Control, Lost, Propose, encode_control
+from hierax.schemas.roster import Detach, Reference, Roster
 
 
 class Deployment:
@@ -291,3 +291,39 @@ def test_one_process_comes_in_the_place_of_one_that_ends_as_it_is_taken_in(monke
     assert counted[0].said == ["top: its process ended by signal SIGKILL; it is started again"]
     assert set(counted[0].told) == {Lost("top", "t", True)}
     assert len(counted[0].started) == 1
+
+
+def test_what_is_asked_for_while_the_worlds_next_process_is_started_reaches_that_one() -> None:
+    """Its order was written before, and the process that it was sent to had ended."""
+    told: list[Any] = []
+
+    class Listens(Process):
+        async def send(self, data: bytes) -> None:
+            told.extend(command for _, command in Frames().feed(data))
+
+    class WorldsOrder(Order):
+        name = "world"
+
+    class Starting(Counted):
+        async def start(self, orders: Sequence[NodeOrder], overhearing: object) -> list[Child]:
+            supervisor.changes.add(proposal, {})
+            await RosterSupervisor.send_to_owner(supervisor, proposal)
+            return [Child(order, cast(Any, Listens()), cast(Any, None)) for order in orders]
+
+        def _again(self, order: NodeOrder, token: str, *rest: object) -> NodeOrder:
+            return cast(NodeOrder, WorldsOrder())
+
+    supervisor: RosterSupervisor
+    proposal = Propose("c0ffee", Detach("top").plain(), {}, {}, ())
+
+    async def main(given: RosterSupervisor) -> None:
+        nonlocal supervisor
+        supervisor = given
+        Starting(supervisor)
+        world = supervisor.current["world"] = Child(
+            cast(NodeOrder, WorldsOrder()), cast(Any, Process()), cast(Any, None), came_up=True, code=-9
+        )
+        await supervisor._restart([world])
+
+    supervised(main)
+    assert told == [encode_control(proposal)]
