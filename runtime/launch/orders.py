@@ -17,7 +17,7 @@ from hierax.runtime.host.run_secret import certificates_of, end_of, issued
 from hierax.runtime.launch.doors import NO_DOORS, Doors, doors_of
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, NodeOrder
 from hierax.runtime.launch.recorders import Recorders
-from hierax.runtime.launch.run_file import Run, write_run
+from hierax.runtime.launch.run_file import Run, outdate_run, write_run
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.info import RunInfo
@@ -212,7 +212,10 @@ class Orders:
         self._terms.update(terms)
         for name in terms:
             self._lineages[name] = f"{name}@{request}"
-        self.save()
+
+    def outdate(self) -> None:
+        """Have nobody go on with the run by what was written down last: it is no longer so."""
+        outdate_run(self.options.state)
 
     def save(self) -> None:
         """Write down, beside the checkpoints, what it takes to go on with the run."""

@@ -8,6 +8,7 @@ import anyio
 import anyio.abc
 import anyio.to_thread
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.launch import frames
 from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts
@@ -54,6 +55,7 @@ class RosterSupervisor(ProcessSupervisor):
         self._unreachable: set[str] = set()
         self._last_roster: Roster | None = None
         self._last_nodes: list[str] | None = None
+        self._is_saved = True  # whether what it takes to go on with the run is written down as it is
         self._heard_s = 0.0
         self._told: Child | None = None
         self._clock = SteadyClock()
@@ -133,6 +135,8 @@ class RosterSupervisor(ProcessSupervisor):
             self._on_members({**self._elsewhere(), **value["processes"]})
             self._beat.set()
             self._beat = anyio.Event()
+            if not self._is_saved:
+                self._save()
         elif status == frames.FINISHED:
             self.epoch = value["epoch"]
             self._last_roster = Roster.read(value["roster"])
@@ -185,6 +189,23 @@ class RosterSupervisor(ProcessSupervisor):
         if terms is not None and not refusal:
             self.orders.adopt(request, terms)
             self._restarts.update({name: Restarts(each) for name, each in terms.items()})
+            self._save()
+
+    def _save(self) -> None:
+        """Write down what it takes to go on with the run; where that cannot be, the run does without, and it is tried
+        again with each beat."""
+        was_saved = self._is_saved
+        try:
+            self.orders.save()
+            self._is_saved = True
+        except HieraxError as error:
+            self._is_saved = False
+            if was_saved:
+                self.orders.outdate()
+                self.notify(f"{error}; until it is, the run cannot be resumed")
+            return
+        if not was_saved:
+            self.notify("what it takes to resume the run is written again")
 
     # --- processes that end
 

@@ -28,6 +28,7 @@ from hierax.runtime.recovery.disk import SLOTS
 from hierax.schemas.keys import is_name
 
 _RUN = "run.json"
+_OUTDATED = "run.json.outdated"  # the last one, where a change has come into force that could not be written there
 _LOCK = "_run.lock"  # in the same folder, held as long as a launch runs; no node can be called so
 _KEY = ".key"
 _ALIVE = ".lock"
@@ -72,11 +73,20 @@ def write_run(state: Path, run: Run) -> None:
     """Write it into the folder of the checkpoints, whole or not at all. Raises `HieraxError` if that fails."""
     content = asdict(run)
     _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)})
+    with suppress(OSError):
+        (state / _OUTDATED).unlink()
+
+
+def outdate_run(state: Path) -> None:
+    """Have nobody go on with a run by what was written before a change, until it is written anew; a full disk has room
+    for that."""
+    with suppress(OSError):
+        (state / _RUN).replace(state / _OUTDATED)
 
 
 def has_run(state: Path) -> bool:
     """Whether a run has left something in a folder."""
-    return (state / _RUN).exists()
+    return (state / _RUN).exists() or (state / _OUTDATED).exists()
 
 
 def read_run(state: Path, trust: bool = False) -> Run:
@@ -93,6 +103,9 @@ def read_run(state: Path, trust: bool = False) -> Run:
             raise HieraxError(f"{path}: {NOT_OURS}")
         return _run(content)
     except FileNotFoundError as error:
+        if (state / _OUTDATED).exists():
+            why = f"{_RUN} could not be written after the last change of its roster"
+            raise HieraxError(f"{state}: the run cannot be resumed: {why}") from error
         raise HieraxError(f"{state}: there is no run to resume: {_RUN} is missing") from error
     except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise HieraxError(f"{path}: expected what a launch of this version with --state wrote: {error}") from error
@@ -135,7 +148,7 @@ def _in_use(state: Path, holder: str) -> HeldError:
 def _left_in(state: Path) -> list[Path]:
     """The files of a run in a folder: first what it takes to resume it, then its checkpoints, which have locks."""
     slots = [lock.with_suffix(f".{slot}") for lock in sorted(state.glob("*.lock")) for slot in range(SLOTS)]
-    return [path for path in (state / _RUN, *slots) if path.exists()]
+    return [path for path in (state / _RUN, state / _OUTDATED, *slots) if path.exists()]
 
 
 @contextmanager

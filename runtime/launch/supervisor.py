@@ -14,6 +14,7 @@ from typing import NoReturn
 import anyio
 
 from hierax.runtime.core.digest import NO_DIGEST
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.execution.output_folder import write_roster
 from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
@@ -113,7 +114,18 @@ def launch(
             return anyio.run(_run, orders, roster, hub, found, forks, notify, recording, begun_s, broken)
         except _Interruption as error:
             raise KeyboardInterrupt from error
+        except Exception as error:
+            only = _only(error)
+            if only is error or not isinstance(only, HieraxError):
+                raise
+            raise only from None
     raise AssertionError  # pragma: no cover - `with` never swallows
+
+
+def _only(error: BaseException) -> BaseException:
+    """What has failed, where it is one thing: the tasks that run beside others make a group of it."""
+    held: Sequence[BaseException] = getattr(error, "exceptions", ())
+    return _only(held[0]) if len(held) == 1 else error
 
 
 async def _run(

@@ -19,6 +19,11 @@ from support.launched import processes_below, processes_of, run_here
 from support.recompute_digest import main as recompute_digest
 from support.sweep import examples
 
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.launch import supervisor
+from hierax.runtime.launch.roster_supervisor import RosterSupervisor
+
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TESTS = Path(__file__).parents[2]
 TIMEOUT_S = 60.0
@@ -309,3 +314,12 @@ def test_nodes_do_not_outlive_their_supervisor(launched: Launched) -> None:
     launched.until_stuck()
     launched.process.kill()
     assert launched.until_gone() < ENDED_S
+
+
+def test_what_fails_beside_a_run_is_told_as_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def fail(processes: RosterSupervisor) -> None:
+        raise HieraxError("the disk is full")
+
+    monkeypatch.setattr(RosterSupervisor, "watch_world", fail)
+    with pytest.raises(HieraxError, match=r"^the disk is full$"):
+        supervisor.launch(read_deployment("letters"), epochs=None, seed=0)

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any, cast
 
 import anyio
 import pytest
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch import roster_supervisor
 from hierax.runtime.launch.child import Child, ProcessState, Restarts
-from hierax.runtime.launch.frames import BEAT, COME_BACK, FAILED, FINISHED, REPORT, ROSTER, STOP, UP, Frames, NodeOrder
+from hierax.runtime.launch.frames import (
+    ANSWER,
+    BEAT,
+    COME_BACK,
+    FAILED,
+    FINISHED,
+    REPORT,
+    ROSTER,
+    STOP,
+    UP,
+    Frames,
+    NodeOrder,
+)
 from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
@@ -327,3 +340,37 @@ def test_what_is_asked_for_while_the_worlds_next_process_is_started_reaches_that
 
     supervised(main)
     assert told == [encode_control(proposal)]
+
+
+def test_a_disk_that_is_full_when_a_change_is_made_ends_no_run_and_is_told_once() -> None:
+    done: list[str] = []
+    room = iter((False, False, True, True))
+
+    class Full(FewOrders):
+        def adopt(self, request: str, terms: Mapping[str, ProcessTerms]) -> None:
+            done.append(f"{request} is adopted")
+
+        def outdate(self) -> None:
+            done.append("what was written is outdated")
+
+        def save(self) -> None:
+            if not next(room):
+                raise HieraxError("run.json: cannot be written: No space left on device")
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        supervisor.orders = cast(Orders, Full())
+        supervisor.notify = done.append
+        supervisor.changes.add(Propose("c0ffee", Detach("top").plain()), {})
+        said = {"status": ANSWER, "request": "c0ffee", "epoch": 7, "refusal": ""}
+        supervisor._take(supervisor.current["world"], said)
+        for _ in range(3):
+            beat(supervisor, {}, ())
+
+    supervised(main)
+    assert done == [
+        "c0ffee is adopted",
+        "what was written is outdated",
+        "run.json: cannot be written: No space left on device; until it is, the run cannot be resumed",
+        "what it takes to resume the run is written again",
+    ]
+    assert next(room), "there was no reason to write it once more"

@@ -14,15 +14,22 @@ from hierax.runtime.launch import run_file
 from hierax.runtime.launch.run_file import (
     Run,
     Running,
+    has_run,
     held_state,
     known_here,
     known_runs,
     make_state,
+    outdate_run,
     read_run,
     register,
     write_run,
 )
-from hierax.runtime.recovery.disk import MappedFile
+    has_run,
+    held_state,
+    known_here,
+    known_runs,
+    make_state,
+    outdate_run,
 
 NOBODY = 65534
 NO_PROCESS = 2**22 - 1
@@ -88,6 +95,19 @@ def test_a_run_is_written_for_this_user_alone(tmp_path: Path) -> None:
     write_run(tmp_path / "state", RUN)
     assert read_run(tmp_path / "state") == RUN
     assert stat.S_IMODE((tmp_path / "state" / "run.json").stat().st_mode) == 0o600
+
+
+def test_nobody_goes_on_with_a_run_by_what_was_written_before_a_change(tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    write_run(state, RUN)
+    outdate_run(state)
+    assert has_run(state), "else another one would begin in its place"
+    with pytest.raises(HieraxError, match=f"{state}: the run cannot be resumed: run.json could not be written after"):
+        read_run(state, trust=True)
+    outdate_run(state)
+    write_run(state, RUN)
+    assert read_run(state) == RUN
+    assert [path.name for path in state.iterdir()] == ["run.json"]
 
 
 def damage(**fields: object) -> Callable[[Path], None]:
