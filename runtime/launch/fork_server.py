@@ -23,6 +23,7 @@ FORK = b"f"
 DESCRIPTORS = 5  # that go with it: life, orders, status, what is printed, console
 
 _TRIES = 3
+_GIVEN_UP = "its process has been given up"
 _END_S = 2.0
 
 
@@ -153,7 +154,12 @@ class ForkedProcess:
     async def send(self, data: bytes) -> None:
         """Write to what it reads. Raises OSError: it does not read any more."""
         async with self._sending:
-            await write_whole(self._orders, data)
+            if not self._is_open:  # the descriptor's number may be that of something else
+                raise BrokenPipeError(_GIVEN_UP)
+            try:
+                await write_whole(self._orders, data)
+            except anyio.ClosedResourceError:
+                raise BrokenPipeError(_GIVEN_UP) from None
 
     def send_signal(self, number: int) -> None:
         """Send it a signal, unless it has ended."""
@@ -167,9 +173,11 @@ class ForkedProcess:
             yield data
 
     def close(self) -> None:
-        """Give up all that leads to it."""
+        """Give up all that leads to it; of one that has not ended, nobody can tell its exit code any more."""
         if self._is_open:
+            self._code = UNKNOWN if self.returncode is None else self._code
             self._is_open = False
+            anyio.notify_closing(self._orders)  # who waits until there is room is not to wait for ever
             self._life.close()
             for descriptor in (self._orders, self._told, self._handle):
                 os.close(descriptor)

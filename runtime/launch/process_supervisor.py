@@ -93,6 +93,8 @@ class ProcessSupervisor(ABC):
                     self._take(child, value)
 
         await children[0].listen(take)
+        if children[0].process.returncode is not None:  # else it has to be killed at the end
+            children[0].close()  # now: a run may have any number of processes, one after the other
         await self._on_ends([child for child in children if child.code is None])
 
     async def _on_ends(self, children: Sequence[Child]) -> None:

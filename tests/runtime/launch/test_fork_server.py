@@ -15,7 +15,7 @@ from support.launched import Launched, command_of, processes_below, run_here, un
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch import fork_server
-from hierax.runtime.launch.fork_server import FORKING, ForkServer
+from hierax.runtime.launch.fork_server import FORKING, UNKNOWN, ForkedProcess, ForkServer
 
 EPOCHS = 400
 NODES = ("arm", "eye", "spatial", "world")
@@ -104,3 +104,34 @@ def test_what_has_forked_nothing_is_not_waited_for(monkeypatch: pytest.MonkeyPat
     with ForkServer().start():
         pass
     assert len(killed) == 1
+
+
+def test_what_is_given_up_counts_as_ended_and_is_told_nothing_more() -> None:
+    """Its descriptors' numbers may be those of something else from then on."""
+
+    refused: list[str] = []
+
+    async def send(forked: ForkedProcess) -> None:
+        try:
+            await forked.send(bytes(1 << 21))  # more than a pipe holds
+        except BrokenPipeError as error:
+            refused.append(str(error))
+
+    async def main() -> None:
+        with ForkServer() as forks, anyio.fail_after(60):
+            forked = await forks.fork(2, 2)
+            forked.send_signal(signal.SIGSTOP)
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(send, forked)
+                await anyio.wait_all_tasks_blocked()
+                assert forked.returncode is None
+                forked.close()
+            reading, writing = os.pipe()
+            assert forked.returncode == await forked.wait() == UNKNOWN
+            await send(forked)
+            os.kill(forked.pid, signal.SIGKILL)
+            os.close(reading)
+            os.close(writing)
+
+    anyio.run(main)
+    assert len(refused) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -78,6 +79,26 @@ def test_a_process_that_is_ended_is_nobody_s_loss(tmp_path: Path) -> None:
                 await supervisor.end_all()
                 await child.ended.wait()
             assert (child.state, child.alive, supervisor.ends) == (ProcessState.ENDED, False, [])
+            supervisor.close()
+        supervisor.overhearing.close()
+
+    anyio.run(main)
+
+
+def test_of_a_process_that_has_ended_no_descriptor_is_left(tmp_path: Path) -> None:
+    """A run may have any number of them, one after the other."""
+
+    async def main() -> None:
+        async with anyio.create_task_group() as tasks:
+            supervisor = Noting(tasks)
+            held: list[list[str]] = []
+            for token in ("w", "w2", "w3"):
+                child = await supervisor.start(replace(order(tmp_path), process=token, modules=("nothing",)))
+                with anyio.fail_after(60):
+                    await child.ended.wait()
+                held.append(sorted(os.listdir("/proc/self/fd")))
+                assert (child.alive, await child.say("anything")) == (False, False)
+            assert held[0] == held[1] == held[2], "the first one begins what all have in common"
             supervisor.close()
         supervisor.overhearing.close()
 
