@@ -24,7 +24,7 @@ DESCRIPTORS = 5  # that go with it: life, orders, status, what is printed, conso
 
 _TRIES = 3
 _GIVEN_UP = "its process has been given up"
-_END_S = 2.0
+_END_S = 3.0  # longer than those that it has forked may take when it is left (`forking.LEFT_S`)
 
 
 class ForkServer:

@@ -8,10 +8,13 @@ import gc
 import inspect
 import os
 import select
+import signal
 import socket
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import suppress
+from math import inf
 from typing import NoReturn
 
 import anyio
@@ -19,6 +22,7 @@ import anyio
 from hierax.runtime.launch import node_process
 from hierax.runtime.launch.fork_server import DESCRIPTORS, FORK, NUMBER
 
+LEFT_S = 2 * node_process.STUCK_S  # after which what nobody supervises any more is killed: it gives itself half of it
 _CONSOLE = 3  # the descriptor of it in a node's process
 _MOST = 1 << 20  # no descriptor has a greater number
 
@@ -27,7 +31,8 @@ Living = dict[int, tuple[int, socket.socket]]
 
 
 def main() -> None:
-    """Fork until nobody is at the line's other end any more, and all that were forked have ended."""
+    """Fork until nobody is at the line's other end any more, and all that were forked have ended; they have a while for
+    that."""
     line = socket.socket(fileno=int(sys.argv.pop()))
     line.set_inheritable(False)
     anyio.run(anyio.sleep, 0)  # has it import its event loop's parts, 40 ms of work for each node's process else
@@ -37,9 +42,12 @@ def main() -> None:
     living: Living = {}
     ready = select.poll()
     ready.register(line, select.POLLIN)
-    is_asked = True
-    while is_asked or living:
-        for descriptor, _ in ready.poll():
+    gone_s = inf
+    while gone_s == inf or living:
+        left_s = gone_s + LEFT_S - time.monotonic()
+        if left_s <= 0:  # they cannot end by themselves: they are stopped, or C code does not give the interpreter back
+            _kill_all(living)
+        for descriptor, _ in ready.poll(1000 * left_s if 0 < left_s < inf else None):
             if descriptor != line.fileno():
                 ready.unregister(descriptor)
                 _tell_end(descriptor, *living.pop(descriptor))
@@ -49,8 +57,19 @@ def main() -> None:
                 ready.register(_fork(line, living, descriptors), select.POLLIN)
             else:
                 ready.unregister(line)
-                is_asked = False
+                gone_s = time.monotonic()
     os._exit(0)
+
+
+def _kill_all(living: Living) -> None:
+    for pid, _ in living.values():
+        _kill_group(pid)
+
+
+def _kill_group(pid: int) -> None:
+    """Kill a node's process that has not been waited for, so that the number is its own, with what it has started."""
+    with suppress(ProcessLookupError, PermissionError):  # it has ended before it led a group
+        os.killpg(pid, signal.SIGKILL)
 
 
 def _fork(line: socket.socket, living: Living, descriptors: Sequence[int]) -> int:

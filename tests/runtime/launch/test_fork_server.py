@@ -6,12 +6,13 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import anyio
 import pytest
 from support.device_nodes import DEVICE, MOVES_S
-from support.launched import Launched, command_of, processes_below, run_here, until
+from support.launched import Launched, command_of, is_alive, processes_below, run_here, until
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch import fork_server
@@ -54,6 +55,28 @@ def test_nodes_outlive_what_they_were_forked_from_and_others_are_forked_from_ano
         assert launch.process.returncode == 0, launch.err
         assert launch.written[EPOCHS].hex() == wanted
         assert launch.err.count("it is started again") == 1, launch.err
+
+
+def test_a_node_that_cannot_end_by_itself_does_not_outlive_a_launch_that_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is stopped hears nothing of it, nor does one whose interpreter a library in C holds."""
+    file = tmp_path / "device.yaml"
+    text = DEVICE.format(log=tmp_path / "device.log", on_uncertain_act="repeat", deadline_s="null", eye="")
+    file.write_text(text, encoding="utf-8")
+    monkeypatch.setenv(MOVES_S, "0.01")
+    with Launched(tmp_path, str(file), "--epochs", "100000") as launch:
+        launch.until_epoch(5)
+        pids = [launch.until_pid(name) for name in NODES]
+        handle = os.pidfd_open(pids[0])  # which is not another process later
+        os.kill(pids[0], signal.SIGSTOP)
+        try:
+            launch.process.kill()
+            until(lambda: not any(map(is_alive, pids)), "the nodes' end")
+        finally:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(handle, signal.SIGKILL)
+            os.close(handle)
 
 
 def test_nodes_have_their_own_streams_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
