@@ -19,7 +19,7 @@ import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
-from hierax.runtime.launch.fork_server import ForkServer
+from hierax.runtime.launch.fork_server import UNKNOWN, ForkServer
 from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, RENEW, RENEWED, REPORT, UP, NodeOrder, frame
 from hierax.runtime.launch.pipes import READ_BYTES
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
@@ -294,9 +294,11 @@ class Child:
             tasks.cancel_scope.cancel()
 
     async def cut_off(self, listening: anyio.CancelScope) -> None:
-        """End what a node has started with the node: it may hold the pipes open, so that no end of them comes."""
-        await self.process.wait()
-        self._kill_group()
+        """What a node has started ends with the node, or it might hold the pipes open, so that no end of them comes.
+
+        Who has forked it has killed it before its number was given back; who was lost could not."""
+        if await self.process.wait() == UNKNOWN:
+            self._kill_group()
         await anyio.sleep(END_TIMEOUT_S)
         listening.cancel()
 

@@ -267,6 +267,9 @@ class FarChild(Child):
             self.send_signal(signal.SIGKILL)
             self.far_process.end(_KILLED)  # it may be out of reach, and is done with all the same
 
+    def _kill_group(self) -> None:
+        """Its keeper does that: here, its number is that of another process, or of none."""
+
     def release(self) -> None:
         if self._storage is not None:
             self._storage.close()

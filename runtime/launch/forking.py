@@ -90,10 +90,15 @@ def _fork(line: socket.socket, living: Living, descriptors: Sequence[int]) -> in
 
 
 def _tell_end(handle: int, pid: int, life: socket.socket) -> None:
-    _, status = os.waitpid(pid, 0)
+    """Tell it before the number is given back: who knows of no end yet cannot mean another process by it."""
+    _kill_group(pid)
+    ended = os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+    assert ended is not None
+    code = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
     with suppress(OSError):
-        life.send(NUMBER.pack(os.waitstatus_to_exitcode(status)))
+        life.send(NUMBER.pack(code))
     life.close()
+    os.waitpid(pid, 0)
     os.close(handle)
 
 

@@ -79,6 +79,34 @@ def test_a_node_that_cannot_end_by_itself_does_not_outlive_a_launch_that_is_kill
             os.close(handle)
 
 
+STARTS = """\
+hierarchy: two
+world: clock
+epochs: 1000000
+nodes:
+  clock: {class: "support.slow_nodes:Clock"}
+  node: {class: "support.slow_nodes:Starting"}
+edges:
+  clock -> node: {sense: "support.slow_nodes:number"}
+"""
+
+
+def test_what_a_node_has_started_ends_with_it_though_the_supervisor_hears_of_it_later(tmp_path: Path) -> None:
+    """By then the number of its process may be that of somebody else's."""
+    file = tmp_path / "two.yaml"
+    file.write_text(STARTS, encoding="utf-8")
+    with Launched(tmp_path, str(file)) as launch:
+        launch.until_said("node: ")
+        program = next(int(line.removeprefix("node: ")) for _, line in launch.said if line.startswith("node: "))
+        launch.process.send_signal(signal.SIGSTOP)
+        try:
+            launch.kill("node")
+            until(lambda: not is_alive(program), "the program's end")
+        finally:
+            launch.process.send_signal(signal.SIGCONT)
+        launch.until_said("node: its process ended by signal SIGKILL")
+
+
 def test_nodes_have_their_own_streams_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pipe that another process held open would never end."""
     file = tmp_path / "device.yaml"

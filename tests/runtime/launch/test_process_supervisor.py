@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import anyio.abc
+import pytest
 from support.deployments import write
 
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.launch.child import Child, Overhearing, ProcessState, start_process
-from hierax.runtime.launch.fork_server import ForkServer
+from hierax.runtime.launch import child as child_module
+from hierax.runtime.launch.child import Child, NodeProcess, Overheard, Overhearing, ProcessState, start_process
+from hierax.runtime.launch.far_host import FarChild, FarHost, FarProcess
+from hierax.runtime.launch.fork_server import UNKNOWN, ForkServer
 from hierax.runtime.launch.frames import BEGIN, NodeOrder
 from hierax.runtime.launch.orders import LaunchOptions, Orders
 from hierax.runtime.launch.process_supervisor import ProcessSupervisor
@@ -103,3 +109,68 @@ def test_of_a_process_that_has_ended_no_descriptor_is_left(tmp_path: Path) -> No
         supervisor.overhearing.close()
 
     anyio.run(main)
+
+
+class Ended:
+    """A process that has ended, though somebody goes on holding its pipes. `pid`: it was its number."""
+
+    def __init__(self, pid: int, code: int) -> None:
+        self.pid, self.returncode = pid, code
+
+    async def wait(self) -> int:
+        return self.returncode
+
+    async def said(self) -> AsyncIterator[bytes]:
+        await anyio.sleep_forever()
+        yield b""
+
+
+class Mute:
+    """Prints nothing."""
+
+    async def listen(self) -> None:
+        return
+
+
+class AnyHost:
+    """A host beside the launch's."""
+
+    class host:  # noqa: N801 - as an attribute
+        name = "far"
+
+
+async def take(data: bytes) -> None:
+    raise AssertionError(data)
+
+
+@pytest.fixture
+def other(monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[bytes]]:
+    """Somebody else's program, which may have the number of a process that has ended."""
+    monkeypatch.setattr(child_module, "END_TIMEOUT_S", 0.0)
+    program = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"], start_new_session=True)
+    yield program
+    program.kill()
+    program.wait()
+
+
+@pytest.mark.parametrize(
+    ("code", "signalled"), [(0, signal.SIGTERM), (-signal.SIGKILL, signal.SIGTERM), (UNKNOWN, signal.SIGKILL)]
+)
+def test_a_number_that_was_given_back_is_signalled_only_where_who_has_forked_it_was_lost(
+    code: int, signalled: signal.Signals, other: subprocess.Popen[bytes]
+) -> None:
+    child = Child(cast(NodeOrder, None), cast(NodeProcess, Ended(other.pid, code)), cast(Overheard, Mute()))
+    anyio.run(child.listen, take)
+    other.terminate()
+    assert other.wait() == -signalled
+
+
+@pytest.mark.parametrize("code", [0, UNKNOWN])
+def test_the_number_of_a_process_on_another_host_is_nobody_s_here(
+    code: int, tmp_path: Path, other: subprocess.Popen[bytes]
+) -> None:
+    child = FarChild(order(tmp_path), cast(FarProcess, Ended(other.pid, code)), cast(FarHost, AnyHost()))
+    anyio.run(child.listen, take)
+    child.close()
+    other.terminate()
+    assert other.wait() == -signal.SIGTERM
