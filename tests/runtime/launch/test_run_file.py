@@ -24,12 +24,7 @@ from hierax.runtime.launch.run_file import (
     register,
     write_run,
 )
-    has_run,
-    held_state,
-    known_here,
-    known_runs,
-    make_state,
-    outdate_run,
+from hierax.runtime.recovery.disk import MappedFile
 
 NOBODY = 65534
 NO_PROCESS = 2**22 - 1
