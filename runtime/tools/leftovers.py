@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 NODE_PROCESS = "hierax.runtime.launch.forking"  # what they are forked from, and so they themselves
 _FOLDER = re.compile(r"hierax-[a-z0-9_]{8}")
-_SLOT = re.compile(r".+\.(0|1|lock)|run\.json")
+_OURS = re.compile(r".+\.(0|1|lock|budget|times|overruns)|run\.json(\.outdated)?")
 
 
 class Orphan(NamedTuple):
@@ -75,7 +75,7 @@ def _is_unused(folder: Path) -> bool:
         files = list(folder.iterdir())
         if folder.is_symlink() or folder.stat().st_uid != os.getuid() or not files:
             return False
-        if not all(_SLOT.fullmatch(path.name) for path in files):
+        if not all(_OURS.fullmatch(path.name) for path in files):
             return False  # not ours after all
         return not any(_is_locked(path) for path in files if path.suffix == ".lock")
     except OSError:

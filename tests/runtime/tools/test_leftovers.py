@@ -55,7 +55,8 @@ def folder(tmp_path: Path) -> Path:
     made = tmp_path / "hierax-0c18adfc"
     MappedFile(made.parent / "x", "process").close()
     made.mkdir()
-    (made / "run.json").write_text("{}")
+    for name in ("run.json", "arm.budget", "arm.times", "world.overruns"):
+        (made / name).write_text("{}")
     return made
 
 
