@@ -180,6 +180,8 @@ ATTEMPTS_AHEAD = 1000
 """How far ahead of a node a message may be. Versions are used up by changes that are dropped, and attempts by
 processes that die; a node that lives takes part in each epoch, or has rates, which say how far ahead others are."""
 
+MAX_PREPARED = 64  # how many versions of the roster are at hand that are not taken up; and how many are asked for
+
 
 class Held:
     """What is held of each sender and kind."""

@@ -10,7 +10,7 @@ from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Completed, Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.rated import RatedEngine
-from hierax.runtime.engine.table import ROSTERS_AHEAD, Phase, Verdict
+from hierax.runtime.engine.table import MAX_PREPARED, ROSTERS_AHEAD, Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints, taken_over
 from hierax.runtime.execution.observers import Observers
@@ -27,8 +27,6 @@ from hierax.schemas.roster import Roster
 REFUSED_TOLD = 32  # under one version of the roster, of how many senders and reasons refused messages are logged
 MAX_RESENDS = 64
 """How often what was sent in an attempt is sent again: the owner asks for it a few times, then blames a link."""
-
-MAX_PREPARED = 64  # how many versions of the roster are at hand that are not taken up; and how many are asked for
 
 _log = logging.getLogger("hierax")
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.engine.table import MAX_PREPARED
 from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.runtime.owner.members import Plan, Request, Stage
 from hierax.runtime.owner.roster_changes import Undo, apply, next_roster, removed, touched
@@ -13,6 +14,8 @@ from hierax.schemas.roster import Detach, Replace, Roster
 
 TELL_AGAIN_S = 0.1  # how often those that are waited for are told again
 MAX_TRIES = 5  # how often a change is planned anew because a process died meanwhile
+MAX_DROPPED = MAX_PREPARED // 2
+"""How many versions may be dropped, one after the other: nodes keep them, and take `MAX_PREPARED` at most."""
 
 
 class Planning(OwnerPart):
@@ -84,12 +87,18 @@ class Planning(OwnerPart):
             return
         back = self.members.back
         undo: list[Request | None] = [request for request in self.queue if isinstance(request.change, Undo)]
-        asked = [] if self._policy.rated and self.members.lost else self.queue  # a change needs a drained epoch
+        recovers = self._policy.rated and self.members.lost  # a change needs a drained epoch
+        asked = [] if recovers or self._renews else self.queue
         for request in undo or [*asked, None]:  # the epoch cannot be done as it is
             if request is not None and not self._can_be_tried(request):
                 continue
             if self._try(request, back):
                 return
+
+    @property
+    def _renews(self) -> bool:
+        """Whether the roster in force needs a new number: with it, nodes forget those that were dropped before."""
+        return not self.members.lost and self.highest - self.members.roster.version >= MAX_DROPPED
 
     def go_on(self) -> None:
         """A plan was given up: prepare what there is, or let the epoch begin that waited for it."""
@@ -145,8 +154,10 @@ class Planning(OwnerPart):
             self.queue.remove(request)
             return self._try(None, back)
         back = back & roster.nodes.keys() - {undone}
-        if (self.members.lost.keys() - back - {undone}) & roster.nodes.keys() or not (request or along or back):
-            return False  # others are lost and not back, or there is nothing to do
+        if (self.members.lost.keys() - back - {undone}) & roster.nodes.keys():
+            return False  # others are lost and not back
+        if not (request or along or back or self._renews):
+            return False
         trial = self.members.trial
         anew = back | ({undone} if trial is not None and trial.name == undone and trial.came_back else set())
         instances = {**roster.instances, **dict.fromkeys(sorted(anew), version)}
@@ -338,7 +349,7 @@ class Planning(OwnerPart):
                 self._drop(plan, f"no answer from {named} within {self._policy.answer_timeout_s:g} s")
                 return
             plan.since_s = now
-            for name in silent:
+            for name in silent if plan.requests or plan.back else ():  # else nothing waits for the plan
                 self.members.end(name, plan.processes[name], "it does not answer the roster's owner")
         elif now - plan.told_s > TELL_AGAIN_S:
             self._send_to_waiting(plan)

@@ -11,6 +11,7 @@ from hierax.runtime.owner.arrivals import MAX_REPEATS
 from hierax.runtime.owner.effects import DETACH, OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import REMEMBERED
 from hierax.runtime.owner.owner import FETCH_S, MAX_TRIES, OVER, Owner
+from hierax.runtime.owner.planning import MAX_DROPPED
 from hierax.schemas.control import (
     NEVER,
     AskStatus,
@@ -219,6 +220,49 @@ def test_a_dropped_version_is_not_used_again() -> None:
     owned.hear(Ready("top", "top.1", 1, "no"))
     calls = owned.hear(propose(Detach("high"), "c2"))
     assert calls[0] == ("keep", 2)
+
+
+def dropped(owned: Owned, count: int) -> list[tuple[Any, ...]]:
+    """What it calls when so many changes were prepared, one after the other, and refused."""
+    calls: list[tuple[Any, ...]] = []
+    for _ in range(count):
+        number = owned.owner.planning.highest + 1
+        owned.hear(propose(TOP, f"c{number}"), join(f"top.{number}", request=f"c{number}"))
+        calls = owned.hear(Ready("top", f"top.{number}", number, "no"))
+    return calls
+
+
+def test_after_many_dropped_versions_the_roster_in_force_has_a_new_number() -> None:
+    owned, last = begun(), MAX_DROPPED + 1
+    before = owned.owner.members.roster
+    calls = dropped(owned, MAX_DROPPED)
+    assert ("keep", last) in calls
+    assert prepares(calls) == ["world.1"], "nobody has anything to load"
+    assert ("high.1", Unchanged(last, 0)) in calls
+    owned.hear(propose(Detach("high"), "other"))
+    owned.ready(last, "world.1")
+    calls = owned.commit()
+    assert calls[0] == ("begin", 2, 0, last)
+    assert ("keep", last + 1) in calls, "what was asked for meanwhile is prepared then"
+    assert owned.owner.members.roster == replace(before, version=last)
+
+
+def test_nobody_is_killed_for_a_new_number_that_is_long_in_coming() -> None:
+    owned = begun()
+    dropped(owned, MAX_DROPPED)
+    assert [call for call in owned.wait(SETTINGS.answer_timeout_s + 0.1) if call[0] == "end"] == []
+    assert prepares(owned.wait(0.2)) == ["world.1"]
+
+
+def test_a_node_that_is_lost_comes_back_before_there_is_a_new_number() -> None:
+    owned = begun()
+    dropped(owned, MAX_DROPPED)
+    owned.hear(Lost("high", "high.1", True))
+    assert owned.owner.planning.plan is None
+    assert sorted(prepares(owned.hear(join("high.2", 0)))) == ["high.2", "low.1", "world.1"]
+    last = MAX_DROPPED + 2
+    assert owned.ready(last, "high.2", "low.1", "world.1")[0] == ("begin", 1, 1, last)
+    assert owned.owner.planning.plan is None
 
 
 def replaced(owned: Owned | None = None) -> Owned:

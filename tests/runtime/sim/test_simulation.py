@@ -16,6 +16,8 @@ from support.sweep import examples
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.engine.table import Verdict
+from hierax.runtime.owner import planning
+from hierax.runtime.owner.members import Plan
 from hierax.runtime.sim.campaign import Scenarios, fails, shrink, simulate_many, simulate_quietly
 from hierax.runtime.sim.scenario import CONTRADICT, DAMAGE, FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import simulate
@@ -57,6 +59,25 @@ def test_what_simulations_with_rates_have_found_holds(seed: int) -> None:
 def test_damage_that_cannot_be_mended_with_rates_is_said() -> None:
     result = simulate_quietly(Scenarios(rated=True).draw(43))
     assert re.fullmatch(r".*goes on after epoch 10, and was further when it said so last.*", result.stopped)
+
+
+@pytest.mark.parametrize("rated", [False, True])
+def test_nothing_is_wrong_where_a_dropped_version_is_followed_by_a_new_number(
+    monkeypatch: pytest.MonkeyPatch, rated: bool
+) -> None:
+    monkeypatch.setattr(planning, "MAX_DROPPED", 1)
+    renewed: list[int] = []
+    take_effect = planning.Planning.take_effect
+
+    def note(self: planning.Planning, plan: Plan) -> None:
+        take_effect(self, plan)
+        if not plan.requests and not plan.back and self.members.roster.version == plan.version:
+            renewed.append(plan.version)
+
+    monkeypatch.setattr(planning.Planning, "take_effect", note)
+    for seed in (309, 380, 473, 496):  # in each of them, with rates or without, a change is dropped
+        assert not simulate_quietly(Scenarios(rated=rated).draw(seed)).violation
+    assert len(renewed) >= 4
 
 
 @pytest.mark.parametrize("kind", FAULTS)
