@@ -18,7 +18,7 @@ from hierax.runtime.launch.pipes import read_some, write_whole
 
 FORKING = "hierax.runtime.launch.forking"
 UNKNOWN = 255  # the exit code where nobody can tell it any more
-NUMBER = struct.Struct("<q")  # of a process, or its exit code, negative for a signal's
+NUMBER = struct.Struct("<q")  # of a process, or its exit code, negative for a signal's; of the error if there is none
 FORK = b"f"
 DESCRIPTORS = 5  # that go with it: life, orders, status, what is printed, console
 
@@ -56,7 +56,7 @@ class ForkServer:
         """A process of a node, which reads its order from what `ForkedProcess.send` gives.
 
         Args: printed: descriptor to which it, and what it starts, print; console: that of its own words.
-        Raises HieraxError: what it is forked from ends again and again."""
+        Raises HieraxError: what it is forked from ends again and again, or the system has no room for a process."""
         for _ in range(_TRIES):
             self.start()
             forked = await self._forked(printed, console)
@@ -112,6 +112,8 @@ class ForkServer:
                 if handles:
                     unused.pop_all()
                     return ForkedProcess(NUMBER.unpack(number)[0], handles[0], life, orders, told)
+                if number:
+                    raise HieraxError(f"no process can be started: {os.strerror(NUMBER.unpack(number)[0])}")
         return None
 
 

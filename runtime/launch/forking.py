@@ -54,7 +54,7 @@ def main() -> None:
                 continue
             word, descriptors, _, _ = socket.recv_fds(line, len(FORK), DESCRIPTORS)
             if word:
-                ready.register(_fork(line, living, descriptors), select.POLLIN)
+                _fork(line, ready, living, descriptors)
             else:
                 ready.unregister(line)
                 gone_s = time.monotonic()
@@ -72,10 +72,14 @@ def _kill_group(pid: int) -> None:
         os.killpg(pid, signal.SIGKILL)
 
 
-def _fork(line: socket.socket, living: Living, descriptors: Sequence[int]) -> int:
-    """Do it; the handle of the new process."""
+def _fork(line: socket.socket, ready: select.poll, living: Living, descriptors: Sequence[int]) -> None:
+    """Do it; where the system refuses, tell why, and go on for those that live."""
     life = socket.socket(fileno=descriptors[0])
-    pid = os.fork()
+    try:
+        pid = os.fork()
+    except OSError as error:
+        _refuse(life, descriptors[1:], error.errno or 0)
+        return
     if not pid:
         for each in (line, life, *(life for _, life in living.values())):
             each.detach()  # their numbers mean something else from now on
@@ -86,7 +90,16 @@ def _fork(line: socket.socket, living: Living, descriptors: Sequence[int]) -> in
     with suppress(OSError):  # who asked does not wait for it any more, and so it ends by itself
         socket.send_fds(life, [NUMBER.pack(pid)], [handle])
     living[handle] = pid, life
-    return handle
+    ready.register(handle, select.POLLIN)
+
+
+def _refuse(life: socket.socket, descriptors: Sequence[int], number: int) -> None:
+    """Tell an error's number, with no handle beside it."""
+    for descriptor in descriptors:
+        os.close(descriptor)
+    with suppress(OSError):
+        life.send(NUMBER.pack(number))
+    life.close()
 
 
 def _tell_end(handle: int, pid: int, life: socket.socket) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import anyio
 import anyio.abc
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts
 from hierax.runtime.launch.frames import ENDED, Frames, NodeOrder
@@ -104,7 +105,10 @@ class ProcessSupervisor(ABC):
             child.ended.set()
         lost = [child for child in children if child.report is None]
         if lost and not self.ending:
-            await self._on_end_together(lost)
+            try:
+                await self._on_end_together(lost)
+            except HieraxError as error:  # no other can be started in its place
+                self.fail(error)
 
     async def _on_end_together(self, children: Sequence[Child]) -> None:
         """A process has ended before its time, with these of its nodes; all that they said is taken in."""

@@ -12,6 +12,7 @@ from secrets import token_hex
 from typing import NoReturn
 
 import anyio
+import anyio.lowlevel
 
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.errors import HieraxError
@@ -282,7 +283,10 @@ class Supervisor:
         for process, names in together(self._deployment, roster.nodes).items():
             shares = process if len(names) > 1 else ""
             make = partial(self._orders.order, life=life, processes=others, shares=shares)
-            await self._processes.start_together([make(name, tokens[name]) for name in names])
+            try:
+                await self._processes.start_together([make(name, tokens[name]) for name in names])
+            except HieraxError as error:  # raised from within the tasks, it would be a group's
+                self._break(error)
             if self._broken.is_set():
                 return
         self._are_started = True
@@ -291,6 +295,7 @@ class Supervisor:
         """Wait for the processes to come up, then for the world to finish."""
         timeout_s = self._deployment.start_timeout_s
         async with self._unless_broken():
+            await anyio.lowlevel.checkpoint()  # where not all were started, it is broken, and ends here
             late = await self._processes.begin(timeout_s)
             if late:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))

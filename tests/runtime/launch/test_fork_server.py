@@ -6,13 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import anyio
 import pytest
 from support.device_nodes import DEVICE, MOVES_S
-from support.launched import Launched, command_of, is_alive, processes_below, run_here, until
+from support.launched import Launched, command_of, is_alive, processes_below, run_here, said_here, until
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch import fork_server
@@ -134,6 +135,47 @@ def test_what_cannot_fork_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with pytest.raises(HieraxError, match="no process can be started"):
         anyio.run(ask)
+
+
+REFUSES = """\
+import errno, os
+from hierax.runtime.launch import forking
+fork, left = os.fork, list(range({times}))
+def refuse_or_fork():
+    if left:
+        left.pop()
+        raise OSError(errno.EAGAIN, "no")
+    return fork()
+os.fork = refuse_or_fork
+forking.main()
+"""
+
+
+def refusing(times: int) -> Callable[..., list[str]]:
+    """What starts a fork server to which the system refuses so many processes."""
+    return lambda module, *rest: [sys.executable, "-c", REFUSES.format(times=times), *rest]
+
+
+def test_a_process_that_the_system_refuses_is_told_and_others_are_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fork_server, "python_module", refusing(1))
+
+    async def ask() -> None:
+        with ForkServer() as forks, anyio.fail_after(60):
+            with pytest.raises(HieraxError, match="no process can be started: Resource temporarily unavailable"):
+                await forks.fork(2, 2)
+            forked = await forks.fork(2, 2)
+            forked.close()
+
+    anyio.run(ask)
+
+
+def test_a_launch_whose_processes_the_system_refuses_ends_with_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fork_server, "python_module", refusing(1000))
+    done = said_here("launch", "servo", "--epochs", "2", folder=tmp_path)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == "error: no process can be started: Resource temporarily unavailable\n"
 
 
 def test_what_has_forked_nothing_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

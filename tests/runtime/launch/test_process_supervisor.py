@@ -16,6 +16,7 @@ import anyio.abc
 import pytest
 from support.deployments import write
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.launch import child as child_module
@@ -107,6 +108,32 @@ def test_of_a_process_that_has_ended_no_descriptor_is_left(tmp_path: Path) -> No
             assert held[0] == held[1] == held[2], "the first one begins what all have in common"
             supervisor.close()
         supervisor.overhearing.close()
+
+    anyio.run(main)
+
+
+def test_where_no_other_process_can_be_started_that_ends_it(tmp_path: Path) -> None:
+    class Full(Noting):
+        async def _on_end(self, child: Child) -> None:
+            raise HieraxError("no process can be started")
+
+    async def main() -> None:
+        failures: list[str] = []
+        failed = anyio.Event()
+
+        def fail(error: Exception) -> None:
+            failures.append(str(error))
+            failed.set()
+
+        async with anyio.create_task_group() as tasks:
+            supervisor = Full(tasks)
+            supervisor.fail = fail
+            await supervisor.start(replace(order(tmp_path), modules=("nothing",)))
+            with anyio.fail_after(60):
+                await failed.wait()
+            supervisor.close()
+        supervisor.overhearing.close()
+        assert failures == ["no process can be started"]
 
     anyio.run(main)
 
