@@ -17,6 +17,7 @@ from hierax.runtime.launch.run_file import Running, forget, known_runs, register
 from hierax.runtime.transport import launch_client
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
+from hierax.schemas.access import OPERATOR
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value
 
@@ -68,6 +69,7 @@ class FakeClient(LaunchClient):
         self.endpoint = endpoint
         self._launches = launches
         self._keys = Keys("toys", "aaaa1111")
+        self._role = OPERATOR
 
     def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
         launches = self._launches

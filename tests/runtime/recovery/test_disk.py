@@ -52,7 +52,7 @@ def test_what_was_never_written_is_not_made(path: Path) -> None:
     storage = kept_at(path, "process")
     assert storage is not None
     with storage:
-        assert Slots(storage).read()[0] == Read(0, 1, b"one")
+        assert Slots(storage).read()[0] == Read(1, 1, b"one")
 
 
 def test_a_slot_grows_alone_and_keeps_growing(path: Path) -> None:
