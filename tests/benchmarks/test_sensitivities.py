@@ -108,6 +108,6 @@ def test_the_table_says_what_changed_and_what_did_not() -> None:
     assert "Of 2 constants 0 are tuned" in told
     assert "1 leave all poses the same to the last bit, 0 change figures by at most\n0.5 points" in told
     assert "and 1 by more\n" in told
-    assert "90.0 / 80.0 % (0.50 mm, 0 lost); 90.0 / 80.0" in told
+    assert "`hidden` and `alike` 90.0 / 80.0 % (0.50 mm, 0 lost); `scattered` 90.0 / 80.0" in told
     found["arm.py:_A 2.0 2.0 again"] = other
     assert "| `_A` | `2.0` | = | (-2.0 / +0.0 / +200, +1 lost) | px |" in SENSITIVITIES.table(found, known)
