@@ -36,8 +36,7 @@ def exit_code(command: Callable[[], int]) -> int:
         _say(f"error: {error}")
         return FAILED
     except (HieraxError, SchemaError) as error:
-        if os.environ.get(TRACEBACK_VARIABLE):
-            traceback.print_exc()
+        _show_traceback()
         _say(f"error: {' '.join(str(error).split())}")
         return USAGE if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:
@@ -46,12 +45,29 @@ def exit_code(command: Callable[[], int]) -> int:
         # the reader of our output has gone: nothing is left to be told, nor to be flushed at the end
         drop_output()
         return FAILED
-    except Exception:
+    except Exception as error:
         if CTRL_C.came:  # and a library has made an error of it
             return interrupted()
+        refused = _refused_file(error)
+        if refused:
+            _show_traceback()
+            _say(f"error: {refused}")
+            return FAILED
         traceback.print_exc()
         _say("error: this is a bug, in hierax or in a node: please report it with the lines above")
         return BUG
+
+
+def _show_traceback() -> None:
+    if os.environ.get(TRACEBACK_VARIABLE):
+        traceback.print_exc()
+
+
+def _refused_file(error: Exception) -> str:
+    """The file that the system refuses, and why, as in a folder that may not be entered; empty: it is another error."""
+    if not isinstance(error, OSError) or not isinstance(error.filename, str | bytes):
+        return ""
+    return f"{os.fsdecode(error.filename) or repr('')}: {error.strerror}"
 
 
 def interrupted() -> int:

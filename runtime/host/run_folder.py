@@ -81,8 +81,16 @@ def unwritable(folder: Path) -> str:
 
 def known_folders() -> list[Path]:
     """The folders of launches, the youngest first."""
-    folders = [about.parent for about in runs_folder().glob(f"*/{ABOUT}")]
+    folders = [about.parent for about in files_in(runs_folder(), f"*/{ABOUT}")]
     return sorted(folders, key=_made_ns, reverse=True)
+
+
+def files_in(folder: Path, pattern: str) -> list[Path]:
+    """What is in a folder by that pattern, in order; nothing where it may not be entered, or there can be none."""
+    try:
+        return sorted(folder.glob(pattern))
+    except OSError:
+        return []
 
 
 def _made_ns(folder: Path) -> int:

@@ -22,7 +22,7 @@ from hierax.runtime.host.private_files import (
     unswept,
     write_private,
 )
-from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_sealed, is_there, runs_folder, seal_or_warn
+from hierax.runtime.host.run_folder import NOT_OURS, STATE, files_in, is_sealed, is_there, runs_folder, seal_or_warn
 from hierax.runtime.host.run_secret import key_text, read_key
 from hierax.runtime.recovery.disk import SLOTS
 from hierax.schemas.keys import is_name
@@ -194,7 +194,7 @@ def forget(run: str) -> None:
 def key_path(run: str) -> Path:
     """Where the key of a run is, if that is closed, and known here."""
     paths = [folder / f"{run}{_KEY}" for folder in launch_folders()]
-    return next((path for path in paths if path.exists()), paths[0])
+    return next((path for path in paths if os.path.exists(path)), paths[0])  # Path's raises where one may not enter
 
 
 def is_loopback(endpoint: str) -> bool:
@@ -216,7 +216,7 @@ def known_runs() -> list[Running]:
     _fit_folder()
     found = {}
     for folder in launch_folders():
-        for path in sorted(folder.glob("*.json")):
+        for path in files_in(folder, "*.json"):
             try:
                 running = _running(json.loads(read_private(path)))
                 is_alive = is_there(path.with_suffix(_ALIVE), running.pid)

@@ -162,7 +162,8 @@ def log_nodes(
 
     logging.setLogRecordFactory(make_with_fields)
     folder = run_folder(run)
-    if not told and not (folder / ABOUT).exists():  # for who keeps processes of a run of another machine here
+    known = os.path.exists(folder / ABOUT)  # Path's raises where one may not enter
+    if not told and not known:  # for who keeps processes of a run of another machine here
         with suppress(OSError, UnsafeFileError):  # it is told when the file cannot be opened
             begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
     for name in dict.fromkeys((*whens, process)):
@@ -299,7 +300,8 @@ class LaunchLog:
 def log_of_run(run: str, name: str, epoch: Callable[[], int]) -> LaunchLog:
     """A further file of a launch's; nothing is written where its folder is not there."""
     folder = run_folder(run) / LOGS
-    return LaunchLog(open_log(folder, name) if folder.is_dir() else None, run, epoch)
+    is_there = os.path.isdir(folder)  # Path's raises where one may not enter
+    return LaunchLog(open_log(folder, name) if is_there else None, run, epoch)
 
 
 def begin_log(

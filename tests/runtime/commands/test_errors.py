@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import termios
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +45,22 @@ def test_the_traceback_of_a_failure_on_demand(
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert err.endswith("error: the disk is full\n")
+
+
+@pytest.mark.parametrize("named", ["/closed/recording", b"/closed/recording"])
+def test_a_file_that_the_system_refuses_is_one_line(
+    named: str | bytes, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(TRACEBACK_VARIABLE, raising=False)
+    assert exit_code(lambda: failing(PermissionError(13, "Permission denied", named))) == 1
+    assert capsys.readouterr().err == "error: /closed/recording: Permission denied\n"
+    assert exit_code(lambda: Path("x" * 300).is_dir()) == 1
+    assert capsys.readouterr().err == f"error: {'x' * 300}: File name too long\n"
+
+
+def test_what_the_system_refuses_without_a_file_is_a_bug(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(lambda: failing(OSError(9, "Bad file descriptor"))) == 3
+    assert "Traceback" in capsys.readouterr().err
 
 
 def test_a_bug_has_its_traceback(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from hierax.runtime.commands.logs import LogFilter, Reader, find_folder, line, read_pattern, read_since
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.run_folder import begin_run
+from hierax.runtime.host.run_folder import begin_run, known_folders
 
 NOW = datetime(2030, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 NO_PROCESS = 2**22 - 1
@@ -118,6 +118,11 @@ def test_what_is_no_time_and_no_pattern_is_told() -> None:
         read_since("yesterday", NOW)
     with pytest.raises(HieraxError, match="--grep: '\\(' is no regular expression"):
         read_pattern("(")
+
+
+def test_where_one_may_not_enter_no_launch_has_left_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", f"/{'x' * 300}")  # raises as such a folder does, for root, too
+    assert known_folders() == []
 
 
 def test_an_entry_as_text() -> None:

@@ -16,6 +16,7 @@ from hierax.runtime.launch.run_file import (
     Running,
     has_run,
     held_state,
+    key_path,
     known_here,
     known_runs,
     make_state,
@@ -84,6 +85,15 @@ def test_a_link_among_them_is_not_followed(temporary: Path, tmp_path: Path) -> N
     path.rename(tmp_path / "elsewhere")
     path.symlink_to(tmp_path / "elsewhere")
     assert known_runs() == []
+
+
+def test_where_one_may_not_enter_runs_are_found_in_other_places_alone(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", f"/{'x' * 300}")  # raises as such a folder does, for root, too
+    register(HERE, SECRET)
+    assert [(each.run, each.secret) for each in known_runs()] == [("aaaa0000", SECRET)]
+    assert key_path("bbbb0000").name == "bbbb0000.key"
 
 
 def test_a_run_is_written_for_this_user_alone(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hierax.runtime.host.run_folder import ABOUT, run_folder
 from hierax.runtime.watch import logs
-from hierax.runtime.watch.logs import QUIET, JsonLine, begin_log, log_console, log_nodes, open_log
+from hierax.runtime.watch.logs import QUIET, JsonLine, begin_log, log_console, log_nodes, log_of_run, open_log
 
 
 @pytest.fixture(autouse=True)
@@ -116,6 +116,19 @@ def test_where_nothing_can_be_written_a_node_goes_on(tmp_path: Path, capsys: pyt
     err = capsys.readouterr().err
     assert err.count("\n") == 2
     assert "arm.jsonl: the log cannot be written: Not a directory" in err
+
+
+def test_where_one_may_not_enter_a_launch_and_its_nodes_go_on(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", f"/{'x' * 300}")  # raises as such a folder does, for root, too
+    told: list[str] = []
+    begin_log("aa", "toys", Path("toys.yaml"), told.append, lambda: 0).close("the run is over")
+    assert [line.rpartition(": ")[2] for line in told] == ["File name too long"]
+    assert log_of_run("aa", "audit", lambda: 0).handler is None
+    log_console()
+    log_nodes("aa", "arm", {"arm": lambda: (1, 0)})
+    assert "arm.jsonl: the log cannot be written: File name too long" in capsys.readouterr().err
 
 
 def test_a_launch_has_a_folder_and_a_log(tmp_path: Path) -> None:
