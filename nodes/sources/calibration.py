@@ -26,6 +26,7 @@ _MATRIX = ("camera_matrix", "cameraMatrix", "K")
 _COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
 _WIDTH, _HEIGHT = ("image_width", "width"), ("image_height", "height")
 _MODEL = "distortion_model"
+_DISTORTION = "dist"  # what begins so tells a distortion
 _MODELS = {PINHOLE: (4, 5), RATIONAL: (8, 12, 14), FISHEYE: (4,), "fisheye": (4,), "": (0, 4, 5, 8, 12, 14)}
 _MAX_COEFFICIENT = 1e6
 _FOLD_CELLS = 128  # along the longer side of a picture, in which it is looked for folds
@@ -109,7 +110,8 @@ def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
     model = content.get(_MODEL) or ("fisheye" if content.get("fisheye_model") in (1, "1", True) else "")
     if not isinstance(model, str) or model not in _MODELS:
         raise DataError(f"{path}: {_MODEL}: expected one of {', '.join(filter(None, _MODELS))}, got {model!r:.40}")
-    name, values = _matrix(path, content, _COEFFICIENTS, [])
+    _check_keys(path, content)
+    name, values = _matrix(path, content, _COEFFICIENTS, None if model else [])  # who names a model gives its numbers
     counts = _MODELS[model] if any(values) else {count for each in _MODELS.values() for count in each}
     if len(values) not in counts:
         numbers = " or ".join(map(str, _MODELS[model]))
@@ -149,6 +151,15 @@ def _plain(matrix: Floats) -> dict[str, Any]:
 
 def _found(content: Mapping[str, Any], names: tuple[str, ...]) -> str:
     return next((name for name in names if name in content), names[0])
+
+
+def _check_keys(path: str, content: Mapping[str, Any]) -> None:
+    """Raises DataError: something looks like a distortion, under a name by which nothing reads it."""
+    for key in map(str, content):
+        if key.lower().startswith(_DISTORTION) and key not in (*_COEFFICIENTS, _MODEL):
+            raise DataError(
+                f"{path}: {key:.40}: expected {_MODEL}, or the coefficients as {' or '.join(_COEFFICIENTS)}"
+            )
 
 
 def _pixels(path: str, content: Mapping[str, Any], names: tuple[str, ...]) -> int:

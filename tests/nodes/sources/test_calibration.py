@@ -128,6 +128,13 @@ def test_lenses_that_there_are_do_not_fold_the_picture(focal: float, coefficient
         ({"camera_matrix": {"data": [*MATRIX[:8], 2.0]}}, "camera_matrix: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]"),
         ({"distortion_model": "wide"}, "distortion_model: expected one of plumb_bob, rational_polynomial, equidist"),
         ({"distortion_model": ["a"]}, "distortion_model: expected one of plumb_bob"),
+        ({"distortion_coefficients": None}, "distortion_coefficients: expected a matrix with rows, cols and data"),
+        (
+            {"distortion_coefficients": None, "dist_coeff": [COEFFICIENTS]},
+            "dist_coeff: expected distortion_model, or the coefficients as distortion_coefficients or dist_coeffs or",
+        ),
+        ({"Distortion_coefficients": COEFFICIENTS}, "Distortion_coefficients: expected distortion_model, or the coeff"),
+        ({"distortion_modle": "plumb_bob"}, "distortion_modle: expected distortion_model, or the coefficients as"),
         ({"distortion_coefficients": "x"}, "distortion_coefficients: expected a matrix with rows, cols and data"),
         ({"distortion_coefficients": {"data": [0.1] * 3}}, "distortion_coefficients: expected 4 or 5 numbers of plumb"),
         ({"distortion_coefficients": {"data": [0.0] * 2}}, "distortion_coefficients: expected 4 or 5 numbers of plumb"),
@@ -152,6 +159,14 @@ def test_each_bad_field_is_named(change: dict[str, Any], told: str, tmp_path: Pa
     path.write_text(yaml.safe_dump({name: value for name, value in (ROS | change).items() if value is not None}))
     with pytest.raises(DataError, match=re.escape(f"{path}: {told}")):
         read_calibration(path)
+
+
+def test_a_lens_without_distortion_says_so_by_an_empty_list_or_by_no_model(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(yaml.safe_dump(ROS | {"distortion_coefficients": []}))
+    assert not read_calibration(path).coefficients.any()
+    path.write_text(yaml.safe_dump({name: value for name, value in ROS.items() if not name.startswith("distortion")}))
+    assert not read_calibration(path).coefficients.any()
 
 
 @pytest.mark.parametrize(
