@@ -1,5 +1,6 @@
 """``hierax calibrate``: a camera's calibration from pictures of a board."""
 
+import os
 import re
 from collections.abc import Iterator
 from enum import Enum
@@ -52,10 +53,7 @@ def calibrate(
     from hierax.nodes.sources.calibration import write_calibration
     from hierax.nodes.sources.images import write_picture
 
-    coverage = output.with_name(f"{output.stem}-coverage.png")
-    for path in (output, coverage):
-        if path.exists() and not overwrite:
-            raise CommandError(f"{path}: is there already; --overwrite replaces it")
+    coverage = _checked_output(output, overwrite)
     shown = _board(board, square, marker, markers)
 
     def progress(pictures: int, found: int) -> None:
@@ -73,6 +71,35 @@ def calibrate(
     print(f"rms {told.rms_px:.3f} px in {len(told.views)} views{left_out}")
     print(f"{coverage}: corners in {told.covered:.0%} of the picture")
     return 0
+
+
+def _checked_output(output: Path, overwrite: bool) -> Path:
+    """The path of the picture that goes with a calibration. Raises, before anybody shows a board in vain, UsageError
+    where the output names no file, and CommandError where it, or the picture, cannot be written or may not be
+    replaced."""
+    if not output.name or output.name == "..":
+        raise UsageError(f"--output {str(output)!r}: expected the name of a file, such as camera.yaml")
+    coverage = output.with_name(f"{output.stem}-coverage.png")
+    for path in (output, coverage):
+        if path.is_dir():
+            raise CommandError(f"{path}: is a folder; expected the name of a file, such as camera.yaml")
+        if path.exists() and not overwrite:
+            raise CommandError(f"{path}: is there already; --overwrite replaces it")
+    if not os.access(output.parent, os.W_OK | os.X_OK) or not output.parent.is_dir():
+        raise CommandError(f"{output}: cannot be written: {output.parent} is no folder that you may write to")
+    if output.exists():
+        _check_replaced(output)
+    return coverage
+
+
+def _check_replaced(output: Path) -> None:
+    from hierax.nodes.sources.calibration import read_calibration
+    from hierax.nodes.sources.files import DataError
+
+    try:
+        read_calibration(output)
+    except DataError as error:
+        raise CommandError(f"{error}: --overwrite replaces calibrations alone; give another name") from error
 
 
 def _pictures(source: str) -> "Iterator[Array]":

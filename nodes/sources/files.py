@@ -3,7 +3,7 @@
 import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -90,8 +90,14 @@ def writing(path: Path | None = None) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is whole at every moment at which it is there. Raises DataError: it cannot be written."""
+    """Write a file that is whole at every moment at which it is there. Raises DataError: it cannot be written; nothing
+    of it is left then."""
     unfinished = path.with_name(path.name + UNFINISHED)
-    with writing(path):
-        unfinished.write_bytes(content)
-        os.replace(unfinished, path)
+    try:
+        with writing(path):
+            unfinished.write_bytes(content)
+            os.replace(unfinished, path)
+    except DataError:
+        with suppress(OSError):
+            unfinished.unlink()
+        raise

@@ -12,7 +12,7 @@ from support.boards import CHARUCO, CHESSBOARD, FISHEYE, PINHOLE, SIZE, pictures
 
 from hierax.nodes.sources.boards import Board, View, calibrate, find_views
 from hierax.nodes.sources.calibration import Lens, read_calibration
-from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.files import DataError, write_whole
 from hierax.nodes.sources.images import read_image
 from hierax.runtime.commands.main import main
 
@@ -122,3 +122,49 @@ def test_a_source_that_is_not_there_is_named(
     assert main(["calibrate", "none", "-o", "x.yaml"]) == 1
     expected = "error: none: no such file; expected a device's number, a video, a folder of images"
     assert capsys.readouterr().err.startswith(expected)
+
+
+def _session_that_must_not_begin(*_: object) -> None:
+    raise AssertionError("the source is read")
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "code", "told"),
+    [
+        ("", [], 2, "--output '.': expected the name of a file, such as camera.yaml"),
+        (".", [], 2, "--output '.': expected the name of a file, such as camera.yaml"),
+        ("/", [], 2, "--output '/': expected the name of a file, such as camera.yaml"),
+        ("..", [], 2, "--output '..': expected the name of a file, such as camera.yaml"),
+        ("nodir/cam.yaml", [], 1, "nodir/cam.yaml: cannot be written: nodir is no folder that you may write to"),
+        ("mine.txt/cam.yaml", [], 1, "mine.txt/cam.yaml: cannot be written: mine.txt is no folder that you may write"),
+        ("d", ["--overwrite"], 1, "d: is a folder; expected the name of a file, such as camera.yaml"),
+        ("mine.txt", ["--overwrite"], 1, "mine.txt: expected a map, a calibration"),
+        ("half.yaml", ["--overwrite"], 1, "half.yaml: image_height: expected a number of pixels, got None"),
+    ],
+)
+def test_an_output_that_cannot_be_is_told_before_a_board_is_shown(
+    output: str,
+    options: list[str],
+    code: int,
+    told: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hierax.nodes.sources.boards.find_views", _session_that_must_not_begin)
+    (tmp_path / "d").mkdir()
+    (tmp_path / "mine.txt").write_text("a diary")
+    (tmp_path / "half.yaml").write_text("image_width: 640")
+    assert main(["calibrate", "none", "-o", output, *options]) == code
+    said = capsys.readouterr().err
+    assert said.startswith("error: " + told)
+    assert said.count("\n") == 1
+    assert (tmp_path / "mine.txt").read_text() == "a diary"
+
+
+def test_nothing_is_left_of_a_file_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "d").mkdir()
+    with pytest.raises(DataError, match="d: cannot be written: Is a directory"):
+        write_whole(tmp_path / "d", b"all of it")
+    assert [path.name for path in tmp_path.iterdir()] == ["d"]
