@@ -77,14 +77,16 @@ def _writer(kind: str) -> "Callable[[Service], list[Written]]":
 
 def _write(folder: Path, written: "Written", overwrite: bool) -> Path:
     """Write a file; its path."""
-    from hierax.runtime.host.private_files import errors_named, open_result
+    from hierax.runtime.host.private_files import check_encodable, errors_named, open_result
 
     path = folder / written.name
     if path.exists() and not overwrite:
         raise CommandError(f"{path}: it is there already; --overwrite replaces it, or name another folder")
+    check_encodable(path)
+    content = written.text.encode()  # before there is a file of which nothing could be written
     with errors_named(path):
         folder.mkdir(parents=True, exist_ok=True)
         with os.fdopen(open_result(path, private=written.is_secret), "wb") as file:
             file.truncate(0)
-            file.write(written.text.encode())
+            file.write(content)
     return path

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hierax.runtime.commands.errors import OK, CommandError, notify, unhindered
 from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, recording_of, report_outcome, selection_of
+from hierax.runtime.host.private_files import check_encodable
 from hierax.runtime.launch.run_file import Run, has_run, read_run
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
     if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
     output, state = options.output, options.state
+    check_encodable(state or "")
     if options.traffic is not None and options.processes is None:
         raise CommandError("--traffic: only with --processes, whose cut it decides")
     selection = selection_of(options, options.record is not None)

@@ -24,6 +24,7 @@ from hierax.runtime.commands.options import (
 )
 from hierax.runtime.commands.show import in_force_text, print_json
 from hierax.runtime.commands.which_launch import client_at, launch_meant
+from hierax.runtime.host.private_files import check_encodable
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import Comparison, EpochView
@@ -43,6 +44,7 @@ def claimed_file(path: Path | None, overwrite: bool) -> "AbstractContextManager[
         return nullcontext()
     from hierax.runtime.recording.writing import claimed
 
+    check_encodable(path)
     return claimed(path, overwrite)
 
 

@@ -13,6 +13,7 @@ from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.output_folder import claimed_output, write_summary
 from hierax.runtime.execution.pacemaker import called
 from hierax.runtime.execution.report import Interrupted, Report
+from hierax.runtime.host.private_files import check_encodable
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.watch.prints import NamedLines
 
@@ -31,6 +32,7 @@ def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool
     extend_import_path(deployment.import_paths)
     limit = deployment.epochs if options.epochs is None else options.epochs
     output, code = options.output, OK
+    check_encodable(output or "")
     prints = NamedLines(sys.stderr, lambda: called(sys._getframe()))
     with nullcontext() if output is None else claimed_output(output, options.overwrite, goes_on):
         try:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment.secrets import public_setting
+from hierax.runtime.host.private_files import check_encodable
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.roster import ProbeSpec, Roster
@@ -189,7 +190,10 @@ def read_text(path: Path) -> str:
 
 
 def import_paths(path: Path) -> tuple[str, ...]:
-    """The folders in which a deployment's own modules are looked for: the file's, and the current one."""
+    """The folders in which a deployment's own modules are looked for: the file's, and the current one. Raises
+    `HieraxError` if one of them is not UTF-8, as processes are told of them."""
+    for place in (path, path.resolve(), Path.cwd()):
+        check_encodable(place)
     return tuple(dict.fromkeys((str(path.resolve().parent), str(Path.cwd()))))
 
 

@@ -40,6 +40,14 @@ def errors_named(place: Path | str, done: str = "written", kind: type[HieraxErro
         raise kind(f"{place}: cannot be {done}: {error.strerror or error}") from error
 
 
+def check_encodable(place: Path | str) -> None:
+    """Raises `HieraxError` where a path is not UTF-8, as all has to be that a run says of itself."""
+    try:
+        str(place).encode()
+    except UnicodeEncodeError as error:
+        raise HieraxError(f"{place}: expected a path in UTF-8; rename what is not, or name another one") from error
+
+
 @contextmanager
 def private_folder(path: Path, make: bool = False) -> Iterator[int]:
     """A folder that nobody but this user can put anything into, nor into those above it, open for `open_private`.

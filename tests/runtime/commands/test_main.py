@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -56,6 +57,48 @@ def test_a_wrong_file_is_one_line_on_standard_error(command: str, capsys: pytest
     assert err == (
         "error: lettres: there is no such file, and no shipped deployment of that name; did you mean 'letters'?\n"
     )
+
+
+NO_UTF8 = os.fsdecode(b"d\xff")
+NAMED = "expected a path in UTF-8; rename what is not, or name another one"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", f"{NO_UTF8}/toys.yaml"],
+        ["launch", f"{NO_UTF8}/toys.yaml"],
+        ["validate", f"{NO_UTF8}/toys.yaml"],
+        ["export", "systemd", f"{NO_UTF8}/toys.yaml", "-o", "units"],
+        ["export", "systemd", "toys.yaml", "-o", NO_UTF8],
+        ["run", "toys.yaml", "--output", NO_UTF8],
+        ["run", "toys.yaml", "--record", f"{NO_UTF8}.mcap"],
+        ["launch", "toys.yaml", "--state", NO_UTF8],
+        ["launch", "toys.yaml", "--output", NO_UTF8],
+    ],
+)
+def test_a_path_that_is_not_utf8_is_one_line_and_nothing_is_written(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path)
+    (tmp_path / NO_UTF8).mkdir()
+    write(tmp_path / NO_UTF8)
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 1
+    err = capsys.readouterr().err
+    assert (err.count("\n"), err.count("\\udcff")) == (1, 1)
+    assert NAMED in err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_working_folder_that_is_not_utf8_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / NO_UTF8).mkdir()
+    monkeypatch.chdir(tmp_path / NO_UTF8)
+    assert main(["launch", str(write(tmp_path)), "--epochs", "1"]) == 1
+    assert NAMED in capsys.readouterr().err
 
 
 def test_a_wrong_override_is_one_line_on_standard_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
