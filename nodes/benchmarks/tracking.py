@@ -1,5 +1,6 @@
 """`hierax bench tracking`: what context, physics and prior do for tracking, and how fast it is."""
 
+import os
 import subprocess
 import sys
 import time
@@ -48,7 +49,8 @@ _BELIEFS = "hierax.nodes.tracking.evaluation.calibration:Beliefs"
 
 @dataclass(frozen=True)
 class Generator:
-    """A generator of scenes: the package's, or a program of its own, a Python file or a folder with ``__main__.py``.
+    """A generator of scenes: the package's, or a program of its own, a Python file or a folder with ``__main__.py``,
+    or what else is executable.
     ``PROGRAM --kinds`` prints the kinds of scenes that it makes, ``PROGRAM OUT --kind K --seed N --frames N [--exact]``
     writes one as `write_scene` does, and prints its folder. What fails raises `HieraxError`."""
 
@@ -66,11 +68,17 @@ class Generator:
         return Path(self._run(str(out), f"--kind={kind}", *numbers, *(["--exact"] if exact else [])).strip())
 
     def _run(self, *arguments: str) -> str:
-        done = subprocess.run([sys.executable, str(self.path), *arguments], capture_output=True, text=True, check=False)
+        done = subprocess.run([*self._program(), *arguments], capture_output=True, text=True, check=False)
         if done.returncode:
             last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
             raise HieraxError(f"{self.path}: {last.removeprefix('error: ')}")
         return done.stdout
+
+    def _program(self) -> list[str]:
+        """What is executable is run as itself; Python files and folders, which may be executable, too, by Python."""
+        path = Path(self.path or "").absolute()  # a bare name would be looked for in PATH
+        by_itself = path.is_file() and path.suffix != ".py" and os.access(path, os.X_OK)
+        return [str(path)] if by_itself else [sys.executable, str(path)]
 
 
 def generator(name: str) -> Generator:

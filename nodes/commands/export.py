@@ -1,19 +1,24 @@
 """``hierax export``: a recording as other programs read it, and a deployment for what else starts processes."""
 
 import os
+import re
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hierax.runtime.commands.errors import CommandError, UsageError
-from hierax.runtime.commands.options import Overrides, option
+from hierax.runtime.commands.graph import check_zenoh
+from hierax.runtime.commands.options import LARGEST, Overrides, option
 
 if TYPE_CHECKING:
+    from hierax.runtime.deployment import Deployment
     from hierax.runtime.tools.services import Service, Written
 
+_IMAGE = re.compile(r"[\[A-Za-z0-9][\]\[A-Za-z0-9._/:@-]*")
 _KINDS = ("systemd", "compose", "kubernetes")
 
 
@@ -32,8 +37,8 @@ def export(
         Path | None, option("--output", "-o", help="Of a deployment: the folder for what is written.")
     ] = None,
     overrides: Overrides = None,
-    seed: Annotated[int, option("--seed", min=0)] = 0,
-    epochs: Annotated[int | None, option("--epochs", min=1)] = None,
+    seed: Annotated[int, option("--seed", min=0, max=LARGEST)] = 0,
+    epochs: Annotated[int | None, option("--epochs", min=1, max=LARGEST)] = None,
     image: Annotated[str, typer.Option(metavar="IMAGE", help="What containers are made from.")] = "hierax",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is there already.")] = False,
 ) -> int:
@@ -47,12 +52,27 @@ def export(
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.tools.services import Service, check_settings
 
+    if not _IMAGE.fullmatch(image):
+        raise UsageError(f"--image {image!r}: expected the name of an image, such as example.org/hierax:1")
     deployment = read_deployment(file, overrides or ())
+    _check_made(deployment)
     check_settings(deployment, overrides or ())
     service = Service(deployment, tuple(overrides or ()), seed, epochs, image)
     for written in _writer(what)(service):
         print(_write(output, written, overwrite))
     return 0
+
+
+def _check_made(deployment: "Deployment") -> None:
+    """Raises `HieraxError` where a node, as it is set, cannot be made, as a launch would find out elsewhere."""
+    from hierax.runtime.core.binding import OperatorSetting
+    from hierax.runtime.loading.loader import build_hierarchy, extend_import_path
+    from hierax.runtime.loading.node_loader import wait_for
+
+    check_zenoh(deployment)
+    extend_import_path(deployment.import_paths)
+    with deployment.explaining(), redirect_stdout(sys.stderr):  # what a node prints must not mix with the result
+        build_hierarchy(deployment.roster, OperatorSetting(wait=wait_for), deployment.allowance)
 
 
 def _export_recording(recording: Path, rosbag: Path, poses: str, overwrite: bool) -> int:

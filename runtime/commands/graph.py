@@ -144,6 +144,7 @@ def validate(
 
     deployment = read_deployment(file, overrides or ())
     roster = deployment.roster
+    check_zenoh(deployment)
     extend_import_path(deployment.import_paths)
     with deployment.explaining(), redirect_stdout(sys.stderr):  # what a node prints must not mix with the result
         _check(deployment)
@@ -156,6 +157,19 @@ def validate(
         called = f", {calls} dry calls" if dry else ""
         print(f"{deployment.path}: OK, {nodes} nodes, {edges} edges{called}, content {content}")
     return 0
+
+
+def check_zenoh(deployment: "Deployment") -> None:
+    """Raises `HieraxError`, with the place in the file, where Zenoh would refuse the settings there."""
+    if deployment.zenoh is None:
+        return
+    from hierax.runtime.transport.port import TransportError
+    from hierax.runtime.transport.zenoh_session import check_settings
+
+    try:
+        check_settings(deployment.zenoh, deployment.low_latency)
+    except TransportError as error:
+        raise deployment.document.error(("zenoh",), str(error)) from error
 
 
 def _check(deployment: "Deployment") -> None:

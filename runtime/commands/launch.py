@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.commands.errors import OK, CommandError, notify, unhindered
+from hierax.runtime.commands.graph import check_zenoh
 from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, recording_of, report_outcome, selection_of
 from hierax.runtime.host.private_files import check_encodable
@@ -96,6 +97,7 @@ def _placed(options: RunOptions, deployment: "Deployment", **given: Any) -> "Rep
     from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.folder_copy import copied
 
+    check_zenoh(deployment)
     processes, traffic = options.processes, options.traffic
     if processes is not None:
         passed = None if traffic is None else _traffic(traffic, deployment)

@@ -25,6 +25,7 @@ Keys = tuple[str | int, ...]  # the path of a value: names and, in lists, number
 _INDEX = re.compile(r"\[(\d+)\]")
 _ARROW = re.compile(r"\s*->\s*")
 MAX_FILE_BYTES = 1 << 22
+_RECORDING = b"\x89MCAP"  # what an MCAP file begins with
 _SUFFIXES = (".yaml", ".yml")
 EPOCH_DEADLINE_S = 60.0
 """The default: long for a robot, and a hang is told of before its user gives up.
@@ -166,7 +167,8 @@ def find_file(name: str | Path) -> Path:
     if str(name) in known:
         return known[str(name)]
     if exists:
-        raise DeploymentError("is no file; expected a deployment file or the name of a shipped one", str(name))
+        what = "is no file; expected a deployment file or the name of a shipped one"
+        raise DeploymentError(what, str(name) or repr(""))
     wrong = path.stem if path.suffix in _SUFFIXES else path.name
     nearest = did_you_mean(wrong, known, "the shipped ones are")
     raise DeploymentError(f"there is no such file, and no shipped deployment of that name{nearest}", str(name))
@@ -181,6 +183,9 @@ def read_text(path: Path) -> str:
         raise DeploymentError(f"cannot be read: {error.strerror or error}", str(path)) from error
     if len(data) > MAX_FILE_BYTES:
         raise DeploymentError(f"has more than {MAX_FILE_BYTES} bytes; is it a deployment file?", str(path))
+    if data.startswith(_RECORDING):
+        what = f"is a recording; expected a deployment file. `hierax replay {path}` does again what is in it"
+        raise DeploymentError(what, str(path))
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -178,9 +178,23 @@ def open_session(
             return _opened(config)
     except HieraxError as error:
         raise TransportError(str(error)) from None
-    except zenoh.ZError as error:  # whose own words may quote a password
-        lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
-        raise TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))) from None
+    except zenoh.ZError as error:
+        raise _refusal(error) from None
+
+
+def check_settings(zenoh_config: ZenohConfig, low_latency: bool = False) -> None:
+    """Raises `TransportError` if Zenoh, or what `low_latency` needs, refuses a user's settings, of which no session is
+    opened."""
+    try:
+        _set_low_latency(_given(zenoh_config), low_latency)
+    except zenoh.ZError as error:
+        raise _refusal(error) from None
+
+
+def _refusal(error: zenoh.ZError) -> TransportError:
+    """What Zenoh says, whose own words may quote a password."""
+    lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
+    return TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines)))
 
 
 def _small_id() -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hierax.nodes.benchmarks.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains
+from hierax.nodes.benchmarks.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains, generator
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.generator.kinds import KINDS
 from hierax.nodes.tracking.math.geometry import exp_se3
@@ -127,3 +127,18 @@ def test_the_speed_is_that_of_launches(
         assert speed["epochs_hz"] > 0.0
         assert speed["stage_ms"]["arm"] > 0.0
     assert len(list((tmp_path / "speed-1" / "models").glob("*.ply"))) == 1
+
+
+def test_a_generator_that_is_executable_is_run_as_itself_and_a_python_file_by_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shell, python = Path("gen.sh"), Path("gen.py")
+    shell.write_text("#!/bin/sh\necho heap tower\n")
+    python.write_text("#!/bin/false\nprint('lone')\n")
+    for program in (shell, python):
+        program.chmod(0o755)
+    assert generator("gen.sh").kinds() == ["heap", "tower"]
+    assert generator("gen.py").kinds() == ["lone"]
+    python.chmod(0o644)
+    assert generator("gen.py").kinds() == ["lone"]

@@ -100,3 +100,26 @@ def test_what_it_takes_is_told(arguments: tuple[str, ...]) -> None:
     done = said_here("export", *arguments)
     assert done.returncode == 2
     assert "expected RECORDING --rosbag DIR, or one of systemd, compose, kubernetes with FILE -o DIR" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (("--epochs", "99999999999999999999999"), 2, "--epochs"),
+        (("--seed", "99999999999999999999999"), 2, "--seed"),
+        (("--image", ""), 2, "--image '': expected the name of an image"),
+        (("--image", "a b; rm"), 2, "--image 'a b; rm': expected the name of an image"),
+        (("--set", "noise=abc"), 1, "noise"),
+        (("--set", "zenoh={foo: 1}"), 1, "zenoh: Zenoh: "),
+    ],
+)
+def test_what_a_launch_would_refuse_is_not_written(
+    arguments: tuple[str, ...], code: int, told: str, tmp_path: Path
+) -> None:
+    done = said_here("export", "kubernetes", "servo", "-o", str(tmp_path / "out"), *arguments)
+    assert (done.returncode, told in done.stderr) == (code, True), done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_image_may_have_a_registry_a_tag_and_a_digest(tmp_path: Path) -> None:
+    exported("compose", "servo", tmp_path / "out", "--image", f"[::1]:5000/lab/hierax:1.2_a@sha256:{'0' * 64}")

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from support.deployments import line_of, replaced, write
+from support.deployments import TOYS, line_of, replaced, write
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.deployment.read import read_deployment
@@ -82,3 +82,29 @@ def test_what_is_wrong_has_its_line(
     assert out == ""
     assert err.startswith(f"error: {path}:{line_of(part, text)}: {message}")
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["validate", "launch"])
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("{foo: 1}", "zenoh: Zenoh: "),
+        ("{transport: {link: {rx: {max_message_size: abc}}}}", "zenoh.transport.link.rx.max_message_size"),
+        ("{transport: {unicast: {lowlatency: true}}}", "zenoh: Zenoh's settings have transport/unicast/lowlatency"),
+    ],
+)
+def test_settings_that_zenoh_refuses_have_their_line(
+    command: str, setting: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"{TOYS}\nzenoh: {setting}\n"
+    path = write(tmp_path, text)
+    assert main([command, str(path)]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: {path}:{line_of('zenoh:', text)}: {told.partition('.')[0]}")
+    assert err.count("\n") == 1
+    assert main([command, str(write(tmp_path)), "--set", f"zenoh={setting}"]) == 1
+    assert "zenoh: " in capsys.readouterr().err
+
+
+def test_settings_that_zenoh_takes_are_fine(tmp_path: Path) -> None:
+    assert main(["validate", str(write(tmp_path, f"{TOYS}\nzenoh: {{scouting: {{delay: 7}}}}\n"))]) == 0

@@ -72,3 +72,15 @@ def test_the_files_folder_comes_before_the_current_one(tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     assert import_paths(Path("sub/a.yaml")) == (str(tmp_path / "sub"), str(tmp_path))
     assert import_paths(Path("a.yaml")) == (str(tmp_path),)
+
+
+def test_a_recording_is_known_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "toys.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(9))
+    with pytest.raises(DeploymentError, match=f"is a recording; expected a deployment file. `hierax replay {path}`"):
+        read_text(path)
+
+
+def test_an_empty_name_is_shown() -> None:
+    with pytest.raises(DeploymentError, match=r"^'': is no file; expected a deployment file"):
+        find_file("")
