@@ -21,7 +21,7 @@ Runner = Callable[..., Report]  # `hierax.runtime.execution.single.run` or `hier
 
 
 def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool = False) -> int:
-    """Read a deployment, run it, print its report.
+    """Read a deployment, run it, print its report; it is kept where an epoch was committed.
 
     `goes_on`: whether the run that is there is resumed. Returns the exit code: 0, or 130 where a signal has broken the
     run off; its report is printed and kept all the same. Raises `HieraxError` if the file is wrong, the output folder
@@ -41,7 +41,7 @@ def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool
                 report = runner(deployment, epochs=limit, seed=options.seed, output=output, progress=progress)
         except Interrupted as broken:
             report, code = broken.report, INTERRUPTED
-        if output is not None:
+        if output is not None and (code == OK or report.epochs):
             write_summary(output, report)
     if options.output_format is Format.json:
         print_json(report.plain())

@@ -9,8 +9,9 @@ and whatever the deployment's probes write."""
 
 import json
 import os
+import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -30,6 +31,7 @@ ROSTER = "roster.msgpack"
 DIGESTS = "digests.msgpack"
 STATES = "states"
 SUMMARY = "summary.json"
+REPLACED = ".replaced"  # the folder of what another run has left there, until the one in its place has done an epoch
 
 
 def write_summary(output: Path, report: Report) -> None:
@@ -109,8 +111,9 @@ def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False)
     """Have an output folder for this run alone; made where it lacks.
 
     `overwrite` removes what another run has left there: what this module writes, and nothing else; `goes_on` resumes
-    it. Raises `OutputError` if it cannot be written, another process writes there, or there is a run in it."""
-    roster = output / ROSTER
+    it. Where this run ends before it has committed an epoch, what was there is there again, and nothing else. Raises
+    `OutputError` if it cannot be written, another process writes there, or there is a run in it."""
+    roster, is_made = output / ROSTER, not output.exists()
     try:
         output.mkdir(parents=True, exist_ok=True)
         file = open_result(roster)
@@ -118,18 +121,68 @@ def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False)
         raise OutputError(f"--output {output}: it cannot be made or written: {error.strerror or error}") from error
     try:
         hold(file, lambda holder: HeldError(f"--output {output}: {holder} is writing there; name another folder"))
+        if not goes_on and (output / REPLACED).is_dir():  # of a run that was killed
+            _settle(output)
         there = _of_a_run(output)
         if there and not (overwrite or goes_on):
             what = f"there is a run in it already ({there[0].relative_to(output)})"
             raise OutputError(f"--output {output}: {what}; --overwrite replaces it, or name another folder")
-        for path in there if overwrite and not goes_on else ():
-            if path != roster:  # which is held
-                path.unlink()
-        yield
+        if there and not goes_on:
+            _set_aside(output, there)
+        try:
+            yield
+        finally:
+            if not goes_on or (output / REPLACED).is_dir():
+                _settle(output)
     finally:
         if not os.fstat(file).st_size:
             roster.unlink(missing_ok=True)
         os.close(file)
+        if is_made:
+            with suppress(OSError):  # there is something in it
+                output.rmdir()
+
+
+def _set_aside(output: Path, there: Sequence[Path]) -> None:
+    aside = output / REPLACED
+    with errors_named(aside, kind=OutputError):
+        (aside / STATES).mkdir(parents=True)
+        for path in there:
+            if path.name == ROSTER:  # which is held, and stays
+                write_result(aside / ROSTER, path.read_bytes())
+            else:
+                path.rename(aside / path.relative_to(output))
+
+
+def _settle(output: Path) -> None:
+    """Of the run that is over and the one before: keep the former if it has come to anything, or else the latter."""
+    aside, roster = output / REPLACED, output / ROSTER
+    if not _has_epoch(output):
+        with errors_named(output, kind=OutputError):
+            for path in (output / DIGESTS, *(output / STATES).glob("*.msgpack")):
+                path.unlink(missing_ok=True)
+            write_result(roster, (aside / ROSTER).read_bytes() if (aside / ROSTER).exists() else b"")
+            for path in _of_a_run(aside):
+                if path.name != ROSTER:
+                    (output / STATES).mkdir(exist_ok=True)
+                    path.rename(output / path.relative_to(aside))
+        with suppress(OSError):  # it is needed, or was never made
+            (output / STATES).rmdir()
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _has_epoch(output: Path) -> bool:
+    """Whether a run has committed one: a killed process may not have written the digests, but states are written at
+    once, and the second epoch begins when the first one is committed."""
+    told = [output / name for name in (DIGESTS, SUMMARY)]
+    is_told = any(path.is_file() and path.stat().st_size for path in told)
+    return is_told or any(map(_has_second, (output / STATES).glob("*.msgpack")))
+
+
+def _has_second(states: Path) -> bool:
+    with states.open("rb") as file, suppress(ValueError, TypeError, LookupError, msgpack.UnpackException):
+        return any(entry[0] > 1 for entry in msgpack.Unpacker(file, max_buffer_size=MAX_MESSAGE_BYTES))
+    return False  # it is torn before that
 
 
 def _of_a_run(output: Path) -> list[Path]:

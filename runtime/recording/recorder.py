@@ -47,8 +47,8 @@ _log = logging.getLogger("hierax")
 
 class Recorder:
     """Takes in what comes on the keys of a run, for a file, if one is given, and, if it is to `check`, for a checker,
-    which sees all of it. `epochs` is as the `Ledger` has it, and the selection says what is written. Raises
-    `RecordingError` if the file cannot be written."""
+    which sees all of it. A file that `claimed` gave stays as it was until an epoch is committed. `epochs` is as the
+    `Ledger` has it, and the selection says what is written. Raises `RecordingError` if the file cannot be written."""
 
     def __init__(
         self,
@@ -137,6 +137,8 @@ class Recorder:
         cut_short = tuple(ledger.cut_short)
         ending = Ending(first, ledger.last, self._messages, gaps, lost, cut_short, self.cut, self._left_out)
         if self._file is not None:
+            if ending.last:
+                self._file.begin()
             self._file.close(ending)
         return ending
 
@@ -144,6 +146,8 @@ class Recorder:
         self._messages += 1
         if self._file is not None:
             self._file.add(entry)
+            if self.ledger.last:
+                self._file.begin()
             self._keep_bounds(self._file, entry)
 
     def _write_held(self) -> None:

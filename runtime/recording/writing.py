@@ -6,9 +6,10 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, BinaryIO
 
 from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo, to_metadata
@@ -22,6 +23,7 @@ CHUNK_S = 1.0
 """A chunk is written when it is this large or old: what a killed recorder loses. An array that is told of twice in a
 chunk, as a message and in a belief, takes its room once."""
 
+KEPT_BYTES = 64 << 20  # how much waits for the first epoch to be committed; with more, what was in the file is gone
 _PREFIX_BYTES = 9  # in front of a record: its kind and its length, which does not count them
 ZSTD_LEVEL = 1  # the level of Zstandard; the default, 3, takes four times as long for images, for 7 % less
 
@@ -56,10 +58,40 @@ def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
         os.close(file)
 
 
+class _Late:
+    """A file whose content stays until `begin`: what is written is kept until then, or until it is too much."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._kept: BytesIO | None = BytesIO()  # None: it is begun
+
+    def begin(self) -> None:
+        """What was in the file is gone, and what was kept is in it."""
+        if self._kept is None:
+            return
+        kept, self._kept = self._kept, None
+        self._file.truncate(0)
+        self._file.write(kept.getbuffer())
+
+    def write(self, data: bytes) -> int:
+        if self._kept is not None and self._kept.tell() > KEPT_BYTES:
+            self.begin()
+        return (self._file if self._kept is None else self._kept).write(data)
+
+    def tell(self) -> int:
+        return (self._file if self._kept is None else self._kept).tell()
+
+    def flush(self) -> None:
+        self._file.flush()
+
+    def close(self) -> None:
+        self._file.close()
+
+
 class McapFile:
-    """A recording that is being written, with compressed chunks. Not for two threads at once. What was in the file,
-    which is a path or what `claimed` gave, is gone. Raises `RecordingError` if it cannot be written, or the package
-    ``mcap`` lacks."""
+    """A recording that is being written, with compressed chunks. Not for two threads at once. What was in the file is
+    gone: at once if that is a path, with `begin` if it is what `claimed` gave. Raises `RecordingError` if it cannot be
+    written, or the package ``mcap`` lacks."""
 
     def __init__(self, path: Path | Target, info: RunInfo) -> None:
         self._path = path.path if isinstance(path, Target) else path
@@ -69,14 +101,20 @@ class McapFile:
         self._written = self._pending = 0
         with self._mapped():
             descriptor = os.dup(path.descriptor) if isinstance(path, Target) else open_result(path)
-            self._file = os.fdopen(descriptor, "wb")
-            self._file.truncate(0)
+            self._file = _Late(os.fdopen(descriptor, "wb"))
+            if not isinstance(path, Target):
+                self._file.begin()
             self._writer = _writer(self._file)
             self._writer.start(PROFILE, f"hierax {info.versions.get('hierax', '')}")
             self._writer.add_metadata(INFO, to_metadata(info.plain()))
             text = info.deployment_text.encode()
             self._writer.add_attachment(info.started_ns, info.started_ns, "deployment.yaml", "application/yaml", text)
             self._writer.flush()
+
+    def begin(self) -> None:
+        """There is something worth keeping: replace what was in the file. `RecordingError` if it cannot be written."""
+        with self._mapped():
+            self._file.begin()
 
     def add(self, entry: Entry) -> None:
         """Add what came on a key, which is the channel's name. Raises `RecordingError` if it cannot be written."""
@@ -109,7 +147,8 @@ class McapFile:
             self._writer.flush()
 
     def close(self, ending: Ending) -> None:
-        """Write how it ended, and the file's index. Raises `RecordingError` if the file cannot be written."""
+        """Write how it ended, and the file's index; a file that was not begun stays as it was. Raises `RecordingError`
+        if the file cannot be written."""
         with self._mapped():
             self._writer.flush()
             self._writer.add_metadata(ENDING, to_metadata(ending.plain()))

@@ -122,6 +122,29 @@ def test_a_real_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(capsys.readouterr().out)["digest"] == first["digest"]
 
 
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_run_that_fails_before_its_first_epoch_replaces_nothing_and_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mcap", reason="the extra [record] is not installed")
+    places = ("--record", str(tmp_path / "a.mcap"), "--output", str(tmp_path / "out"))
+    wrong = ("run", "servo", "--epochs", "3", *places, "--set", "noise=abc")
+    assert main([*wrong]) == 1
+    assert not list(tmp_path.iterdir())
+    assert main(["run", "servo", "--epochs", "3", *places]) == 0  # which nothing is in the way of
+    before = contents(tmp_path)
+    capsys.readouterr()
+    assert main([*wrong, "--overwrite"]) == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert contents(tmp_path) == before
+    assert main(["run", "servo", "--epochs", "2", *places, "--overwrite"]) == 0
+    assert contents(tmp_path).keys() == before.keys()
+    assert contents(tmp_path) != before
+
+
 def test_a_run_until_the_world_has_finished(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(write(tmp_path))
     assert (

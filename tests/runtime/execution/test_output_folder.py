@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import msgpack
@@ -37,8 +39,53 @@ def test_an_output_of_another_run_is_refused_and_stays(tmp_path: Path) -> None:
 def test_overwriting_removes_what_runs_write_and_nothing_else(tmp_path: Path) -> None:
     run_in(tmp_path / "out")
     with claimed_output(tmp_path / "out", overwrite=True):
-        left = sorted(path.name for path in (tmp_path / "out").rglob("*") if path.is_file())
-        assert left == ["notes.txt", "notes.txt", ROSTER]
+        (tmp_path / "out" / DIGESTS).write_bytes(msgpack.packb((1, b"")))
+    left = sorted(path.name for path in (tmp_path / "out").rglob("*") if path.is_file())
+    assert left == [DIGESTS, "notes.txt", "notes.txt", ROSTER]
+
+
+def begin_in(output: Path, *epochs: int) -> None:
+    """What a run writes that ends in its next epoch, killed before the digests are on disk."""
+    (output / ROSTER).write_bytes(b"of now")
+    (output / DIGESTS).touch()
+    (output / STATES).mkdir(exist_ok=True)
+    (output / STATES / "leg.msgpack").write_bytes(b"".join(msgpack.packb((epoch, 0)) for epoch in epochs))
+
+
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_a_run_without_an_epoch_does_not_replace_another_one(tmp_path: Path, is_killed: bool) -> None:
+    files = run_in(tmp_path / "out")
+    everything = sorted((tmp_path / "out").rglob("*"))
+    with suppress(OutputError), claimed_output(tmp_path / "out", overwrite=True):
+        begin_in(tmp_path / "out", 1)
+        if is_killed:  # it is the next one that finds what it has left
+            shutil.copytree(tmp_path / "out", tmp_path / "killed")
+        raise OutputError
+    if is_killed:
+        shutil.rmtree(tmp_path / "out")
+        (tmp_path / "killed").rename(tmp_path / "out")
+        with pytest.raises(OutputError, match="there is a run in it already"), claimed_output(tmp_path / "out"):
+            pass
+    assert all(file.read_bytes() == b"of before" for file in files)
+    assert sorted((tmp_path / "out").rglob("*")) == everything
+
+
+def test_a_run_with_an_epoch_replaces_another_one_however_it_ends(tmp_path: Path) -> None:
+    run_in(tmp_path)
+    with suppress(OutputError), claimed_output(tmp_path, overwrite=True):
+        begin_in(tmp_path, 1, 2)
+        raise OutputError
+    left = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+    assert left == [DIGESTS, "leg.msgpack", "notes.txt", "notes.txt", ROSTER]
+    assert (tmp_path / ROSTER).read_bytes() == b"of now"
+
+
+def test_a_run_without_an_epoch_leaves_nothing_and_one_that_goes_on_everything(tmp_path: Path) -> None:
+    for goes_on in (False, True):
+        with suppress(OutputError), claimed_output(tmp_path / "out", goes_on=goes_on):
+            begin_in(tmp_path / "out", 1)
+            raise OutputError
+        assert (tmp_path / "out").exists() == goes_on
 
 
 def test_a_run_that_goes_on_keeps_what_it_has_written(tmp_path: Path) -> None:
