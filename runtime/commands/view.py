@@ -57,7 +57,8 @@ def view(options: RunOptions, source: Shown = None) -> int:
     with _viewer(stream, options) as place:
         endless = source is None
         try:
-            notify(f"seen at {place.name}")
+            if options.save is None:
+                notify(f"seen at {place.name}")
             with nullcontext() if deployment is None else deployment.explaining():
                 show(_presenter(deployment, stream))
             if place.until_closed is not None:
@@ -68,6 +69,8 @@ def view(options: RunOptions, source: Shown = None) -> int:
             if not endless:
                 raise
             notify("no longer looking")
+    if options.save is not None:  # now it is there
+        notify(f"seen at {options.save}")
     return 0
 
 

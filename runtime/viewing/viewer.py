@@ -13,12 +13,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from secrets import token_hex
 from threading import Thread
 from urllib.parse import quote
 
 import rerun as rr
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.private_files import errors_named
 
 HOST = "127.0.0.1"
 WEB_PORT = 9090
@@ -78,22 +80,33 @@ def window(stream: Stream, memory: str) -> Iterator[Place]:
 
 @contextmanager
 def file(stream: Stream, path: Path, overwrite: bool = False) -> Iterator[Place]:
-    """A file for Rerun, ``.rrd``. Raises `HieraxError` if it cannot be written, or is there already."""
+    """A file for Rerun, ``.rrd``, which is there, whole, after the block; where that raises, what was there stays.
+    Raises `HieraxError` if it cannot be written, or is there already."""
     _check_replaceable(path, overwrite)
+    whole = path.resolve()  # a link stays one
+    unfinished = whole.with_name(f".{whole.name}.{token_hex(4)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-        stream.save(path)
+        unfinished.touch()
+        stream.save(unfinished)
     except Exception as error:  # Rerun's own have no common class
+        with suppress(OSError):
+            unfinished.unlink()
         raise HieraxError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
     try:
         yield Place(str(path), None)
         stream.flush()
+        stream.disconnect()
+        with errors_named(path):
+            unfinished.replace(whole)
     finally:
         stream.disconnect()
+        unfinished.unlink(missing_ok=True)
 
 
 def _check_replaceable(path: Path, overwrite: bool) -> None:
+    if path.exists() and not path.is_file():
+        raise HieraxError(f"{path}: cannot be written: it is no regular file")
     try:
         with path.open("rb") as there:
             begin = there.read(len(_RRD))

@@ -68,6 +68,11 @@ def test_a_run_and_its_recording_go_into_files(tmp_path: Path, capsys: pytest.Ca
     late = (str(run), "--from", "9", "--save", str(again))
     assert f"{again}: is there already; --overwrite replaces it" in failure(capsys, *late)
     assert "there is no committed epoch in it from 9 to its end" in failure(capsys, *late, "--overwrite")
+    assert b"/position_m/world/object" in again.read_bytes()  # neither has replaced it
+    other = tmp_path / "other.rrd"
+    assert main(["view", *late[:-1], str(other)]) == 1
+    assert "seen at" not in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == [again, run, seen]
     assert f"{run}: is no file of Rerun's" in failure(capsys, str(run), "--save", str(run), "--overwrite")
 
 
@@ -77,7 +82,8 @@ def test_ctrl_c_ends_looking_at_a_launch_that_runs_on(tmp_path: Path) -> None:
     with Command(tmp_path, "launch", paced(tmp_path, "servo"), "--epochs", "10000000") as launch:
         until(lambda: any(tmp_path.rglob("*.json")), "the launch runs")
         with Command(tmp_path, "view", "--save", str(saved)) as view:
-            until(lambda: saved.exists() and saved.stat().st_size > 50_000, "something is shown")
+            shown = lambda: [path.stat().st_size for path in tmp_path.glob(".live.rrd.*")]  # noqa: E731
+            until(lambda: max(shown(), default=0) > 50_000, "something is shown")
             os.kill(view.process.pid, signal.SIGINT)
             view.end()
             assert view.process.returncode == 0, view.err

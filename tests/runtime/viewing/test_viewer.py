@@ -89,6 +89,26 @@ def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         pass
 
 
+def test_what_is_there_stays_until_a_file_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "x.rrd"
+    path.write_bytes(b"RRF of before")
+    with pytest.raises(HieraxError), file(stream_of("test"), path, overwrite=True):
+        raise HieraxError
+    assert path.read_bytes() == b"RRF of before"
+    with file(stream_of("test"), path, overwrite=True):
+        pass
+    assert path.read_bytes() != b"RRF of before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_is_no_regular_file_is_not_replaced() -> None:
+    with (
+        pytest.raises(HieraxError, match="/dev/null: cannot be written: it is no regular file"),
+        file(stream_of("test"), Path("/dev/null"), overwrite=True),
+    ):
+        pass
+
+
 def wait_for(place: Place) -> None:
     assert place.until_closed is not None
     place.until_closed()
