@@ -50,12 +50,12 @@ def _names(folder: Path) -> tuple[str, str]:
 def read_since(text: str, now: datetime) -> datetime:
     """A time ``10m`` ago (s, m, h, d), or as ISO 8601, local without a zone; `HieraxError` if it is neither."""
     ago = _AGO.fullmatch(text.strip())
-    if ago is not None:
-        return now - timedelta(seconds=float(ago[1]) * _SECONDS[ago[2]])
     try:
+        if ago is not None:
+            return now - timedelta(seconds=float(ago[1]) * _SECONDS[ago[2]])
         return datetime.fromisoformat(text.strip().replace("Z", "+00:00")).astimezone(timezone.utc)
-    except ValueError as error:
-        what = f"--since: expected how long ago, such as 10m, or a time such as 2030-01-02T03:04, got {text!r}"
+    except (ValueError, OverflowError) as error:  # the latter: there was no such year
+        what = f"--since: expected how long ago, such as 10m, or a time such as 2030-01-02T03:04, got {text!r:.80}"
         raise HieraxError(what) from error
 
 

@@ -1,6 +1,7 @@
 """Arguments and options that several commands share, and the words for those of all."""
 
 import glob
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -101,6 +102,13 @@ def argument(metavar: str, words: str, **given: Any) -> Any:
     return typer.Argument(metavar=metavar, help=words, **given)
 
 
+def finite(value: float) -> float:
+    """A number of an option that is one; raises `typer.BadParameter` if it is infinite, or none."""
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"expected a finite number, got {value}")
+    return value
+
+
 class Format(str, Enum):
     """How a result is printed."""
 
@@ -186,11 +194,11 @@ class RunOptions:
     memory: Annotated[str, option("--memory")] = "1GiB"
     node: Annotated[str | None, option("--node")] = None
     world: Annotated[WorldMode, option("--world")] = WorldMode.recorded
-    speed: Annotated[float, option("--speed", min=0.0)] = 0.0
+    speed: Annotated[float, option("--speed", min=0.0, callback=finite)] = 0.0
     classes: Annotated[list[str] | None, option("--with")] = None
     verify: Annotated[bool, option("--verify")] = False
     decisions: Annotated[bool, option("--decisions")] = False
-    tolerance: Annotated[float, option("--tolerance", min=0.0)] = 0.0
+    tolerance: Annotated[float, option("--tolerance", min=0.0, callback=finite)] = 0.0
 
 
 OF_A_RUN = (

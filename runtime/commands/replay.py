@@ -11,6 +11,8 @@ from hierax.runtime.commands.options import Format, RecordingFile, RunOptions, W
 from hierax.runtime.commands.recordings import comparison_json, print_comparison, recording_of
 from hierax.runtime.commands.show import RIGHT, brief, print_json, print_report, print_table
 
+SLOWEST = 1e-6  # with less, a second takes weeks
+LONGEST_S = 1e9  # how long it waits for an epoch at most: what a recording says of its times may be anything
 LISTED = 60  # how many stretches of epochs are listed as text
 
 if TYPE_CHECKING:
@@ -33,6 +35,8 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     from hierax.runtime.recording.diff import compare
     from hierax.runtime.recording.replay import Replay, allowance_of, check_names, other_settings, recorded_deployment
 
+    if 0 < options.speed < SLOWEST:
+        raise CommandError(f"--speed {options.speed:g}: expected 0, or a number from {SLOWEST:g} on")
     if options.verify and options.decisions:
         raise CommandError("give --verify or --decisions, not both: the first ends where something differs")
     recording = recording_of(file)
@@ -149,7 +153,7 @@ class _Paced:
             if self._speed and heard_ns:
                 begun_ns = begun_ns or heard_ns
                 due_s = begun_s + (heard_ns - begun_ns) / 1e9 / self._speed
-                time.sleep(max(due_s - time.monotonic(), 0.0))
+                time.sleep(min(max(due_s - time.monotonic(), 0.0), LONGEST_S))
             self._last = epoch
             yield epoch
             done_s = time.perf_counter()

@@ -67,6 +67,8 @@ def _seeds(text: str) -> range:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
     except ValueError as error:
         raise CommandError(f"--seeds {text}: expected two whole numbers, A:B, or one") from error
+    if seeds.stop > LARGEST:
+        raise CommandError(f"--seeds {text:.80}: expected numbers below {LARGEST}")
     if not seeds or seeds[0] < 0:
         raise CommandError(f"--seeds {text}: expected numbers from 0, the second greater than the first")
     return seeds

@@ -3,13 +3,14 @@
 import logging
 import os
 import signal
-from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Generator, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from multiprocessing import active_children, get_context
 from typing import NamedTuple, TypeVar
 
@@ -24,6 +25,7 @@ from hierax.runtime.sim.simulation import Result, simulate
 from hierax.schemas.roster import Roster
 
 CHUNK = 50  # how many seeds a worker takes at a time
+AHEAD = 4  # how many chunks are given out for each worker: one takes longer than another
 
 Item = TypeVar("Item")
 
@@ -96,8 +98,9 @@ def simulate_many(
     progress: Callable[[Summary], None] | None = None,  # told the summary so far, now and then
 ) -> Summary:
     summary = Summary()
-    chunks = [seeds[at : at + CHUNK] for at in range(0, len(seeds), CHUNK)]
-    with closing(_done(chunks, scenarios, min(jobs, max(len(chunks), 1)))) as done:
+    starts = range(0, len(seeds), CHUNK)
+    chunks = (seeds[at : at + CHUNK] for at in starts)  # made as they are needed: there may be any number
+    with closing(_done(chunks, scenarios, min(jobs, max(len(starts), 1)))) as done:
         for results in done:
             for result in results:
                 summary.add(result)
@@ -161,7 +164,7 @@ def _without_node(roster: Roster, name: str) -> Roster | None:
     return replace(roster, nodes=nodes, edges=edges, turns=turns)
 
 
-def _done(chunks: Sequence[range], scenarios: Scenarios, jobs: int) -> Generator[list[Result], None, None]:
+def _done(chunks: Iterator[range], scenarios: Scenarios, jobs: int) -> Generator[list[Result], None, None]:
     """What comes of each chunk, in order. Raises `HieraxError` if a process that simulates has ended."""
     simulated = partial(simulate_chunk, scenarios=scenarios)
     if jobs <= 1:
@@ -172,8 +175,11 @@ def _done(chunks: Sequence[range], scenarios: Scenarios, jobs: int) -> Generator
     with ProcessPoolExecutor(jobs, get_context("fork"), signal.signal, ignoring) as pool:
         try:
             with started_deaf():
-                done = pool.map(simulated, chunks)
-            yield from done
+                waiting = deque(pool.submit(simulated, each) for each in islice(chunks, AHEAD * jobs))
+            while waiting:
+                results = waiting.popleft().result()
+                waiting.extend(pool.submit(simulated, each) for each in islice(chunks, 1))
+                yield results
         except BrokenProcessPool as error:
             raise HieraxError("a process that simulates has ended") from error
         except BaseException:

@@ -49,6 +49,12 @@ def test_the_log_of_a_launch_that_is_over(logged: str, capsys: pytest.CaptureFix
         (["--run", "tosy"], "--run: there is no log of a launch 'tosy'; did you mean 'toys'?"),
         (["--node", "lunch"], "--node: there is no log of 'lunch' in run aaaa1111; did you mean 'launch'?"),
         (["--since", "soon"], "--since: expected how long ago"),
+        (
+            ["--since", "800000d"],
+            "--since: expected how long ago, such as 10m, or a time such as 2030-01-02T03:04, got",
+        ),
+        (["--since", f"{'9' * 400}s"], "--since: expected how long ago"),
+        (["--since", "0001-01-01T00:00+01:00"], "--since: expected how long ago"),
         (["--grep", "("], "--grep: '(' is no regular expression"),
     ],
 )

@@ -85,6 +85,25 @@ def test_a_replay_keeps_the_pace(folder: Path, capsys: Capture) -> None:
     assert main(["replay", "a.mcap", "--speed", "1000", "--to", "3"]) == 0
 
 
+@pytest.mark.parametrize(
+    ("arguments", "code", "what"),
+    [
+        (["replay", "--speed", "1e-300"], 1, "--speed 1e-300: expected 0, or a number from 1e-06 on"),
+        (["replay", "--speed", "nan"], 2, "Invalid value for '--speed'"),
+        (["replay", "--verify", "--tolerance", "inf"], 2, "expected a finite number, got inf"),
+        (["diff", "a.mcap", "--tolerance", "inf"], 2, "expected a finite number, got inf"),
+        (["diff", "a.mcap", "--tolerance", "nan"], 2, "Invalid value for '--tolerance'"),
+    ],
+)
+def test_numbers_that_are_too_large_or_none_are_refused(
+    folder: Path, capsys: Capture, arguments: list[str], code: int, what: str
+) -> None:
+    assert main([arguments[0], "a.mcap", *arguments[1:]]) == code
+    error = capsys.readouterr().err
+    assert what in error
+    assert "Traceback" not in error
+
+
 def test_diff_names_the_place(folder: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     assert main(["diff", "a.mcap", "flawed.yaml"]) == 0
     monkeypatch.setenv(FLAW, "high/predict/4")

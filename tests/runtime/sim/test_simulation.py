@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
-from typing import get_args
+from typing import cast, get_args
 
 import pytest
 from support.mutations import MUTATIONS
@@ -18,7 +18,7 @@ from hierax.runtime.commands.main import main
 from hierax.runtime.engine.table import Verdict
 from hierax.runtime.owner import planning
 from hierax.runtime.owner.members import Plan
-from hierax.runtime.sim.campaign import Scenarios, fails, shrink, simulate_many, simulate_quietly
+from hierax.runtime.sim.campaign import Scenarios, Summary, fails, shrink, simulate_many, simulate_quietly
 from hierax.runtime.sim.scenario import CONTRADICT, DAMAGE, FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import simulate
 from hierax.schemas.control import Control
@@ -116,6 +116,34 @@ def test_a_kind_that_no_seed_has_reached_fails_a_campaign(
     assert main(["sim", "--seeds", "0:3", "--jobs", "1", "--faults", "crash"]) == 0, "some are not wanted"
 
 
+class _EnoughError(Exception):
+    pass
+
+
+class _ManySeeds:
+    """More seeds than there is memory for; not many may be asked for."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def __len__(self) -> int:
+        return 10**11
+
+    def __getitem__(self, part: slice) -> range:
+        self.asked += 1
+        assert self.asked < 100
+        return range(part.start, part.start + 1)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_seeds_are_given_out_as_they_are_needed(jobs: int) -> None:
+    def stop(_: Summary) -> None:
+        raise _EnoughError
+
+    with pytest.raises(_EnoughError):
+        simulate_many(cast(range, _ManySeeds()), jobs=jobs, progress=stop)
+
+
 def test_kinds_are_those_of_the_types() -> None:
     told = simulate_many(range(1)).kinds
     assert {*told["order"], *told["word"]} == {kind.__name__ for kind in get_args(Control)}
@@ -199,6 +227,7 @@ def test_the_command_shows_what_fails(capsys: pytest.CaptureFixture[str]) -> Non
         (["--seeds", "4:4"], "--seeds 4:4: expected numbers from 0"),
         (["--faults", "crahs"], "there is no 'crahs'; did you mean 'crash'"),
         (["--seeds", "0:5", "--trace"], "--trace: expected a single seed"),
+        (["--seeds", f"{10**22}:{10**28}"], "expected numbers below 9223372036854775807"),
     ],
 )
 def test_the_command_says_what_it_expects(arguments: list[str], what: str, capsys: pytest.CaptureFixture[str]) -> None:
