@@ -3,6 +3,7 @@
 from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
+from hierax.runtime.commands.errors import notify
 from hierax.runtime.commands.options import OF_A_RUN, File, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, report_outcome, selection_of
 
@@ -26,6 +27,7 @@ def run(file: File, options: RunOptions) -> int:
     overrides, recorded = options.overrides or (), options.record is not None
     selection = selection_of(options, recorded)
     taking: list[InProcess] = []
+    late: list[str] = []
 
     def run_scheduled(deployment: "Deployment", **given: Any) -> "Report":
         schedule = read_schedule(options.at or (), deployment)
@@ -40,13 +42,17 @@ def run(file: File, options: RunOptions) -> int:
             given.update(schedule=schedule, watch=_spans(deployment), record=recording, breaker=Breaker())
             names = {*deployment.roster.nodes, *(name for each in schedule for name in new_nodes(each.change))}
             with named_turns(names, deployment.name) as turn:
-                return single.run(deployment, turn=turn, **given)
+                report = single.run(deployment, turn=turn, **given)
+            late.extend(str(each.epoch) for each in schedule if each.epoch > report.epochs)
+            return report
         finally:
             for each in taking:
                 each.finish()
 
     with claimed_file(options.record, options.overwrite) as target:
         code = run_deployment(run_scheduled, file, options)
+    if late:
+        notify(f"--at: the run ended before epoch {', '.join(late)}: what was to change there is not made")
     for each in taking:
         violations = () if each.checker is None else each.checker.close()
         code = max(code, report_outcome(options.record, each.ending, violations))

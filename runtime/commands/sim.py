@@ -38,6 +38,8 @@ def sim(
     wanted = _seeds(seeds)
     kinds = _kinds(faults)
     scenarios = Scenarios(kinds, epochs, rates)
+    if trace and output_format is Format.json:
+        raise CommandError("--trace: it is printed as text; expected no --format json beside it")
     if trace:
         return _trace(wanted, scenarios)
     began = time.monotonic()

@@ -45,6 +45,7 @@ def view(options: RunOptions, source: Shown = None) -> int:
         raise CommandError("--native and --save: give one of them")
     if source is not None and not (options.run is options.connect is options.deployment_file is None):
         raise CommandError("give a file, or say which launch is meant: not both")
+    _check_used(source, options)
     if source is None:
         deployment, hierarchy, show = _of_launch(options)
     elif source.endswith(RECORDING_SUFFIX):
@@ -72,6 +73,27 @@ def view(options: RunOptions, source: Shown = None) -> int:
     if options.save is not None:  # now it is there
         notify(f"seen at {options.save}")
     return 0
+
+
+def _check_used(source: str | None, options: RunOptions) -> None:
+    """Raises `CommandError` if an option is given that does nothing for what is shown, or where."""
+    is_recording = source is not None and source.endswith(RECORDING_SUFFIX)
+    if source is None or is_recording:
+        _refuse(options, "only with a deployment", overrides="--set", seed="--seed", epochs="--epochs")
+    if not is_recording:
+        _refuse(options, "only with a recording", first="--from", last="--to")
+    if options.save is not None:
+        _refuse(options, "not with --save, which starts no viewer", port="--port", opens="--open", memory="--memory")
+    elif options.native:
+        _refuse(options, "not with --native, which serves no page", port="--port", opens="--open")
+
+
+def _refuse(options: RunOptions, why: str, **names: str) -> None:
+    """Raises `CommandError` if one of these options, by their fields, has been given."""
+    unsaid = RunOptions()
+    for field, name in names.items():
+        if getattr(options, field) not in (getattr(unsaid, field), []):
+            raise CommandError(f"{name}: {why}")
 
 
 Source = tuple["Deployment | None", str, Show]

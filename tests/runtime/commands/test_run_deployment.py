@@ -158,3 +158,11 @@ def test_a_node_that_fails_is_one_line(tmp_path: Path, capsys: pytest.CaptureFix
     err = capsys.readouterr().err
     told = r"error: left: observe in epoch 1: RuntimeError: the camera is gone \(\S+toy_nodes\.py:\d+, in observe\)\n"
     assert re.fullmatch(told, err)
+
+
+def test_a_change_beyond_the_last_epoch_is_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "servo", "--epochs", "3", "--at", "2:detach:motion"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["run", "servo", "--epochs", "3", "--at", "999:detach:motion"]) == 0
+    said = "hierax: --at: the run ended before epoch 999: what was to change there is not made\n"
+    assert capsys.readouterr().err == said

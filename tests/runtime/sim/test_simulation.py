@@ -227,6 +227,7 @@ def test_the_command_shows_what_fails(capsys: pytest.CaptureFixture[str]) -> Non
         (["--seeds", "4:4"], "--seeds 4:4: expected numbers from 0"),
         (["--faults", "crahs"], "there is no 'crahs'; did you mean 'crash'"),
         (["--seeds", "0:5", "--trace"], "--trace: expected a single seed"),
+        (["--seeds", "3", "--trace", "--format", "json"], "--trace: it is printed as text"),
         (["--seeds", f"{10**22}:{10**28}"], "expected numbers below 9223372036854775807"),
     ],
 )
