@@ -218,6 +218,7 @@ BOX_SAMPLES = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 6)] * 3), axis=-1)
 UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)  # a covariance that says next to nothing of a pose (m², rad²)
 UNSEEN = np.diag([0.01**2] * 3 + [0.1**2] * 3)  # of a body's pose before the first observation (m², rad²)
 DASH_M = 0.002  # of an edge as it is drawn
+THINNEST_M = 0.0001  # how thick a model is taken to be at least: paper
 
 # ---- Facts ----
 

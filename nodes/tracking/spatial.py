@@ -251,8 +251,15 @@ def _body(item: schema.FirstBody) -> schema.Body:
         "others": NO_POSES,
         "kept": 0,
         "model": {**item["model"], "vertices": vertices, "faces": faces},
-        "mass": const.DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
+        "mass": const.DENSITY_KG_M3 * float(np.prod(_extents(vertices))),
     }
+
+
+def _extents(vertices: Floats) -> Floats:
+    """How large a model is along its axes, m. A plate may be modelled without any thickness: it has mass all the same,
+    as what has none stands still in physics whatever falls on it, and turns no faster than one of paper."""
+    extents: Floats = np.maximum(np.ptp(vertices, axis=0), const.THINNEST_M)
+    return extents
 
 
 def _swept_next(belief: schema.SpatialBelief) -> tuple[int, ...]:
@@ -334,7 +341,7 @@ def _adrift(heard: schema.Body, body: schema.Body, interval_s: float | None) -> 
     step = body["velocity"] * (interval_s or 0.0)
     along = body["pose"][:3, :3].T @ step[:3]
     up = body["pose"][2, :3]
-    turn = up * float(np.linalg.norm(step[:3])) / float(np.ptp(body["model"]["vertices"], axis=0).min())
+    turn = up * float(np.linalg.norm(step[:3])) / float(_extents(body["model"]["vertices"]).min())
     growth = const.UNSURE**2 * (2 * body["unseen"] + 1)
     grown = heard["covariance"].copy()
     grown[:3, :3] += growth * np.outer(along, along)

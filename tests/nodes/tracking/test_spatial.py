@@ -115,6 +115,19 @@ def test_damping_slows_a_body_that_is_seen_no_more() -> None:
     assert float(after["bodies"][0]["velocity"][0]) == pytest.approx(before * np.exp(-0.2))
 
 
+@pytest.mark.parametrize("table", [False, True])
+def test_a_plate_that_is_modelled_without_thickness_has_finite_covariances_seen_or_not(table: bool) -> None:
+    flat = {"vertices": MESH.vertices * [1.0, 1.0, 0.0], "faces": MESH.faces}
+    objects = [{"id": 1, "obj_id": 11, "pose": at(z=0.001), "model": flat}]
+    spatial = SpatialNode(objects, table=table)
+    assert spatial.initial_belief()["bodies"][0]["mass"] > 0.0
+    for step_m in (0.0, 0.003):
+        for status in ("tracked", "expected"):
+            with np.errstate(all="raise"):
+                belief = follow(spatial, [at(step_m * k, z=0.001) for k in range(4)], 0.1, status)
+            assert np.isfinite(belief["bodies"][0]["covariance"]).all()
+
+
 def test_over_a_table_things_settle_where_the_arm_is_not_sure() -> None:
     spatial = node(at(z=0.10), table=True)
     belief = spatial.initial_belief()
