@@ -32,6 +32,10 @@ _IMAGE_FOLDERS = ("rgb", "gray")
 
 MAX_OBJECTS = 255  # in the first frame: each has its label in an image of 8 bits
 
+_LEAST_M = 0.001  # from corner to corner of a model's box
+_OFF = 10.0  # by this factor a model is larger or smaller than is said where one of both has another unit
+_HUGE = 1e300
+
 _FRAMES_AGAIN = 16  # how many of its last frames a results file can take back
 _MAX_DIGITS = 9
 
@@ -136,14 +140,43 @@ def scene_number(folder: str | Path | None) -> int:
 def read_model(folder: Path, obj_id: int, posed: bool = True) -> tuple[Mesh, Symmetry]:
     """The mesh of a model, in metres, and its symmetry: as ``models_info.json`` has it, else as the mesh shows it; see
     `hierax.nodes.tracking.datasets.bop_json.read_symmetry`.
-    Raises DataError: the model or ``models_info.json`` is missing or damaged."""
+    Raises DataError: the model or ``models_info.json`` is missing or damaged, or one of them has another unit than
+    millimetres: the model is next to nothing, or ten times as large as its ``diameter`` there, or a tenth of it."""
     info = folder / "models_info.json"
     entry = bop_json.read_json(info).get(str(obj_id))
     if not isinstance(entry, dict):
         raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
     names = [folder / f"obj_{obj_id:06d}{suffix}" for suffix in SUFFIXES]
-    mesh = read_mesh(next((name for name in names if name.exists()), names[0]), BOP_UNIT_M)
+    path = next((name for name in names if name.exists()), names[0])
+    mesh = read_mesh(path, BOP_UNIT_M)
+    check_large(f"{path}", mesh)
+    _check_diameter(path, mesh, f"{info}: {obj_id}", entry.get("diameter"))
     return mesh, bop_json.read_symmetry(f"{info}: {obj_id}", entry, posed) or found_symmetry(mesh)
+
+
+def check_large(where: str, mesh: Mesh) -> None:
+    """See that a model was not read in a unit that makes next to nothing of it. Raises DataError: it was."""
+    size_m = box_diagonal_m(mesh)
+    if size_m < _LEAST_M:
+        told = f"the model is {1000.0 * size_m:.3g} mm large by it; expected at least {1000.0 * _LEAST_M:g} mm"
+        raise DataError(f"{where}: unit: {told}")
+
+
+def box_diagonal_m(mesh: Mesh) -> float:
+    """How far it is through the box around a model, m."""
+    return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+
+
+def _check_diameter(path: Path, mesh: Mesh, where: str, diameter: Any) -> None:
+    """See that a model is about as large as is said of it; where nothing is said, or no number, nothing is seen. Its
+    box's diagonal is from one to √3 times its diameter. Raises DataError: it is not."""
+    if type(diameter) not in (int, float) or not diameter > 0:
+        return
+    told, size = float(min(diameter, _HUGE)), box_diagonal_m(mesh) / BOP_UNIT_M
+    if size < _OFF * told and np.sqrt(3.0) * told < _OFF * size:
+        return
+    sizes = f"the model is {size:.3g} mm large from corner to corner, its diameter in {where} is {told:.3g} mm"
+    raise DataError(f"{path}: {sizes}; expected both in millimetres (of glTF models: metres)")
 
 
 def check_no_results(path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hierax.nodes.sources.files import UNITS_M, DataError, read_yaml
 from hierax.nodes.sources.shots import read_matrix
-from hierax.nodes.tracking.datasets.bop import MAX_OBJECTS
+from hierax.nodes.tracking.datasets.bop import MAX_OBJECTS, box_diagonal_m, check_large
 from hierax.nodes.tracking.datasets.bop_json import read_symmetry
 from hierax.nodes.tracking.math.geometry import Floats, invert, orthonormal, transform
 from hierax.nodes.tracking.model.files import read_mesh
@@ -26,7 +26,6 @@ from hierax.nodes.tracking.schema import FirstPose, Symmetry
 CAMERA, WORLD = "camera", "world"
 _FIELDS = ("id", "model", "unit", "pose", "frame", "symmetries_discrete", "symmetries_continuous")
 _EXPECTED = "a list of objects, and world_from_camera where it is known"
-_LEAST_M = 0.001  # from corner to corner
 _LEAST_SEEN = 0.002  # what is smaller beside its distance is no two pixels
 _INSIDE = 3.0  # what is larger beside it is about the camera
 
@@ -62,10 +61,8 @@ class ObjectsFile(NamedTuple):
         return found
 
     def _check_seen(self, where: str, mesh: Mesh, pose: Floats | None, tagged: bool) -> None:
-        size_m = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-        if size_m < _LEAST_M:
-            what = f"the model is {1000.0 * size_m:.3g} mm large by it; expected at least {1000.0 * _LEAST_M:g} mm"
-            raise DataError(f"{where}: unit: {what}")
+        check_large(where, mesh)
+        size_m = box_diagonal_m(mesh)
         if pose is None:
             return
         if self.frame == WORLD and self.camera is not None:

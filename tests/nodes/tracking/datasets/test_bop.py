@@ -70,6 +70,41 @@ def test_a_model_may_be_in_another_format(scene: Path) -> None:
     assert np.allclose(BopScene(scene).model(5)[0].vertices, corners)
 
 
+@pytest.mark.parametrize("suffix", ["ply", "obj"])
+def test_a_model_in_metres_is_refused(scene: Path, suffix: str) -> None:
+    models = scene.parent.parent / "models"
+    corners, faces = box_mesh((0.1, 0.1, 0.1))
+    if suffix == "ply":
+        write_ply(models / "obj_000005.ply", box_mesh((0.1, 0.1, 0.1)), unit_m=1.0)
+    else:
+        (models / "obj_000005.ply").unlink()
+        lines = ["v {:g} {:g} {:g}".format(*corner) for corner in corners] + [
+            "f {} {} {}".format(*(f + 1)) for f in faces
+        ]
+        (models / "obj_000005.obj").write_text("\n".join(lines))
+    with pytest.raises(
+        DataError, match=rf"obj_000005\.{suffix}: unit: the model is 0\.173 mm large by it; expected at"
+    ):
+        BopScene(scene).model(5)
+
+
+@pytest.mark.parametrize(
+    ("diameter", "told"),
+    [(0.1732, "0.173"), (17.0, "17"), (1732.0, r"1\.73e\+03"), pytest.param(10**400, "1e", id="huge")],
+)
+def test_a_model_of_another_unit_than_its_diameter_is_refused(scene: Path, diameter: float, told: str) -> None:
+    edit(scene / "../../models/models_info.json", "5", "diameter", value=diameter)
+    message = rf"obj_000005\.ply: the model is 173 mm large from corner to corner, its diameter in .*: 5 is {told}"
+    with pytest.raises(DataError, match=message):
+        BopScene(scene).model(5)
+
+
+@pytest.mark.parametrize("diameter", [30, 100, 173.2, 900.0, None, "173", True, -1.0, 0, float("nan")])
+def test_a_diameter_that_is_about_right_or_no_number_says_nothing(scene: Path, diameter: Any) -> None:
+    edit(scene / "../../models/models_info.json", "5", "diameter", value=diameter)
+    assert len(BopScene(scene).model(5)[0].vertices)
+
+
 def test_frames_are_sorted_and_in_metres(scene: Path) -> None:
     read = BopScene(scene)
     assert read.scene_id == 12
