@@ -4,9 +4,11 @@ A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`
 are ``DATASET/models/obj_000001.ply`` (or ``.obj``, ``.stl``, ``.glb``, ``.gltf``) and ``models_info.json``. Lengths in
 the files are millimetres, here metres. Of ``scene_gt.json`` nothing but the first frame is ever read."""
 
+import os
 from collections import deque
 from collections.abc import Sequence
 from functools import cached_property
+from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +24,7 @@ from hierax.nodes.tracking.model.files import BOP_UNIT_M, SUFFIXES, read_mesh
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.symmetry import found_symmetry
 from hierax.nodes.tracking.schema import LOST, ScoredPose, Symmetry
+from hierax.runtime.host.private_files import UnsafeFileError, open_result
 
 TOLD_POSES = "scene_gt.json"
 FIRST_POSES = "first_poses.json"  # of `hierax init`; read in the place of the former's
@@ -179,11 +182,38 @@ def _check_diameter(path: Path, mesh: Mesh, where: str, diameter: Any) -> None:
     raise DataError(f"{path}: {sizes}; expected both in millimetres (of glTF models: metres)")
 
 
-def check_no_results(path: Path) -> None:
-    """See that nothing is lost where a results file is begun: a header alone, a process had begun that was killed.
-    Raises DataError: there is something in the file already."""
-    if path.is_file() and path.stat().st_size > len(RESULTS_HEADER) + 1:
+def check_no_results(path: Path, overwrite: bool = False) -> None:
+    """See that nothing is lost where a results file is begun: there is no file, an empty one, or a header alone, as a
+    process had begun that was killed; `overwrite`: or another results file. Raises DataError: there is one already, or
+    something else, which is never replaced."""
+    if not path.is_file():
+        return
+    header = RESULTS_HEADER.encode("ascii")
+    try:
+        with path.open("rb") as file:
+            beginning = file.read(len(header) + 2)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}; expected a results file, or none") from error
+    if beginning in (b"", header, header + b"\n"):
+        return
+    if beginning.split(b"\n")[0].rstrip() != header:
+        raise DataError(f"{path}: is no results file, and is not replaced; name another file")
+    if not overwrite:
         raise DataError(f"{path}: is there already; --overwrite replaces it, or name another file")
+
+
+def _opened(path: Path, append: bool) -> FileIO:
+    """A results file, to be gone on with at its end, or empty; a device as it is. Raises DataError: it is a link, or
+    another user's."""
+    if path.exists() and not path.is_file():
+        return path.open("ab" if append else "wb", buffering=0)
+    try:
+        file = os.fdopen(open_result(path, append), "ab" if append else "wb", buffering=0)
+    except UnsafeFileError as error:
+        raise DataError(f"{error}; name another file") from error
+    if not append:
+        file.truncate(0)
+    return file
 
 
 class ResultsFile:
@@ -197,19 +227,22 @@ class ResultsFile:
     them: whoever tells a frame again tells those after it again, too.
 
     Args: path: the file; its folder is created. scene_id: the scene's number. again: go on behind what another process
-        has left there; a line that it did not finish is cut off. Else, or where there is no such file, one is begun.
-    Raises DataError: the file cannot be written, now or later, or what is there is no results file."""
+        has left there; a line that it did not finish is cut off. Else, or where there is no such file, one is begun, in
+        the place of a results file that may be there.
+    Raises DataError: the file cannot be written, now or later, or what is there is no results file, or a link."""
 
     def __init__(self, path: str | Path, scene_id: int, again: bool = False) -> None:
         self.path = Path(path)
         self._scene_id = scene_id
+        if not again:
+            check_no_results(self.path, overwrite=True)
         with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             written = self.path.read_bytes() if again and self.path.is_file() else b""
         self._end = written.rfind(b"\n") + 1
         self._begins = _last_frames(self.path, written[: self._end])
         with writing(self.path):
-            self._file = self.path.open("ab" if self._end else "wb", buffering=0)
+            self._file = _opened(self.path, append=self._end > 0)
             if 0 < self._end < len(written):
                 self._cut(self._end)
             if not self._end:

@@ -72,15 +72,15 @@ class Pictures(Probe):
         self._last: _Shown | None = None
 
     def open(self, output: Path | None) -> None:
-        """Make the folder; without an output folder nothing is drawn."""
-        self._frames = set()
-        self._folder = None if output is None else output / PICTURES_FOLDER
-        if self._folder is not None:
-            self._folder.mkdir(exist_ok=True)
+        """Make the folder; without an output folder nothing is drawn. Raises DataError: there is a picture or a video
+        that would be replaced, and may not be written over."""
+        if output is not None and not self.overwrite:
+            self._check_none(output)
+        self._begin(output)
 
     def open_again(self, output: Path | None) -> None:
         """Find the pictures that are there, for the contact sheet; a half one is removed."""
-        self.open(output)
+        self._begin(output)
         if self._folder is None:
             return
         for path in self._folder.iterdir():
@@ -117,6 +117,20 @@ class Pictures(Probe):
             write_picture(self._folder / CONTACT_SHEET, contact_sheet(pictures))
             if self._video:
                 write_video(self._folder.parent / VIDEO_FILE, pictures, self._fps)
+
+    def _begin(self, output: Path | None) -> None:
+        self._frames = set()
+        self._folder = None if output is None else output / PICTURES_FOLDER
+        if self._folder is not None:
+            self._folder.mkdir(exist_ok=True)
+
+    def _check_none(self, output: Path) -> None:
+        folder = output / PICTURES_FOLDER
+        pictures = sorted(path for path in folder.glob("*.png") if _PICTURE.fullmatch(path.name))
+        single = (folder / CONTACT_SHEET, *((output / VIDEO_FILE,) if self._video else ()))
+        there = [*pictures, *(path for path in single if path.exists())]
+        if there:
+            raise DataError(f"{there[0]}: is there already; --overwrite replaces it, or name another output folder")
 
     def _write(self, shown: _Shown) -> None:
         assert self._folder is not None

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from hierax.nodes.sources.files import writing
 from hierax.nodes.tracking.datasets.bop import ResultsFile, check_no_results, scene_number
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.schema import ScoredPose
@@ -30,7 +31,7 @@ class BopResults(Probe):
 
     def open(self, output: Path | None) -> None:
         """Begin the files. Raises DataError: one cannot be written, or there are poses in it already, and it may not be
-        written over."""
+        written over, or something else."""
         self._begin(output, again=False)
 
     def open_again(self, output: Path | None) -> None:
@@ -52,9 +53,8 @@ class BopResults(Probe):
     def _begin(self, output: Path | None, again: bool) -> None:
         paths = [*self._files, *([] if output is None else [output / POSES_FILE])]
         different = {path.resolve(): path for path in paths}
-        if not (again or self.overwrite):
-            for path in different.values():
-                check_no_results(path)
+        for path in () if again else different.values():
+            check_no_results(path, self.overwrite)
         self._results = []
         for path in different.values():
             self._results.append(ResultsFile(path, self._scene_id, again))
@@ -71,10 +71,13 @@ class Truth(Probe):
     _file: Path | None = None
 
     def open(self, output: Path | None) -> None:
-        """Remember the file, which begins with the first true pose; what another run left there is removed."""
+        """Remember the file, which begins with the first true pose; what another run left there is removed. Raises
+        DataError: there is one, and it may not be written over, or something else."""
         if output is not None:
             self._file = output / TRUTH_FILE
-            self._file.unlink(missing_ok=True)
+            check_no_results(self._file, self.overwrite)
+            with writing(self._file):
+                self._file.unlink(missing_ok=True)
 
     def open_again(self, output: Path | None) -> None:
         """Go on behind what is in the file. Raises DataError: it cannot be written, or is no results file."""

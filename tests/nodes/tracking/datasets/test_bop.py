@@ -284,9 +284,29 @@ def test_going_on_where_nothing_is_begins_a_file(tmp_path: Path) -> None:
 
 
 def test_a_file_is_begun_anew_where_it_is_another_runs(tmp_path: Path) -> None:
-    (tmp_path / "poses.csv").write_text("something else\n")
+    (tmp_path / "poses.csv").write_text(f"{RESULTS_HEADER}\n1,2,3,4\n")
     with ResultsFile(tmp_path / "poses.csv", 12):
         assert (tmp_path / "poses.csv").read_text() == RESULTS_HEADER + "\n"
+
+
+@pytest.mark.parametrize("content", ["x", "my notes\n", RESULTS_HEADER[:-1], f"{RESULTS_HEADER},more\n", "x" * 99])
+def test_what_is_no_results_file_is_never_replaced(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text(content)
+    with pytest.raises(DataError, match=r"notes\.txt: is no results file, and is not replaced; name another file$"):
+        ResultsFile(path, 12)
+    assert path.read_text() == content
+
+
+@pytest.mark.parametrize("content", ["", RESULTS_HEADER, f"{RESULTS_HEADER}\n", f"{RESULTS_HEADER}\n1,2,3,4\n"])
+@pytest.mark.parametrize("again", [False, True])
+def test_no_link_is_followed(tmp_path: Path, content: str, again: bool) -> None:
+    target, link = tmp_path / "target.csv", tmp_path / "link.csv"
+    target.write_text(content)
+    link.symlink_to(target)
+    with pytest.raises(DataError, match=r"link\.csv is a symbolic link, which is not followed; name another file$"):
+        ResultsFile(link, 12, again)
+    assert target.read_text() == content
 
 
 @pytest.mark.parametrize(

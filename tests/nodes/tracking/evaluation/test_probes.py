@@ -191,10 +191,43 @@ def test_the_truth_begins_in_a_new_process_where_the_old_one_wrote_none(tmp_path
     assert frames_of(tmp_path / "truth.csv") == [(0, 0.1)]
 
 
-def test_another_runs_truth_is_not_kept(tmp_path: Path) -> None:
-    (tmp_path / "truth.csv").write_text("of another run")
-    Truth().open(tmp_path)
+def test_another_runs_truth_is_not_kept_when_asked(tmp_path: Path) -> None:
+    (tmp_path / "truth.csv").write_text(f"{RESULTS_HEADER}\n1,2,3,4\n")
+    with pytest.raises(DataError, match=r"truth\.csv: is there already; --overwrite replaces it"):
+        Truth().open(tmp_path)
+    assert (tmp_path / "truth.csv").exists()
+    probe = Truth()
+    probe.overwrite = True
+    probe.open(tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["poses.csv", "truth.csv", "mine.txt"])
+def test_a_users_files_are_not_touched(tmp_path: Path, name: str, overwrite: bool) -> None:
+    path = tmp_path / name
+    path.write_text("my notes\n")
+    probe = Truth() if name == "truth.csv" else BopResults(str(tmp_path / "mine.txt"))
+    probe.overwrite = overwrite
+    with pytest.raises(DataError, match=rf"{name}: is no results file, and is not replaced; name another file$"):
+        probe.open(tmp_path)
+    assert [each.read_text() for each in tmp_path.iterdir()] == ["my notes\n"]
+
+
+@pytest.mark.parametrize("name", ["pictures/frame-000007.png", "pictures/contact-sheet.png", "video.mp4"])
+def test_pictures_that_are_there_are_not_written_over(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("mine")
+    (path.parent / "holiday.png").write_text("mine, too")
+    with pytest.raises(DataError, match=rf"{name}: is there already; --overwrite replaces it, or name another output"):
+        Pictures(video=True).open(tmp_path)
+    assert path.read_text() == "mine"
+    probe = Pictures(video=True)
+    probe.overwrite = True
+    probe.open(tmp_path)
+    path.unlink()
+    Pictures(video=True).open(tmp_path)
 
 
 def test_a_world_of_photographs_knows_no_truth(tmp_path: Path) -> None:
