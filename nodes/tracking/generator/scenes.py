@@ -14,6 +14,7 @@ up to 7 mm and 3°, the camera's by a drift of up to 8 mm and 1° and a jitter o
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +23,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from hierax.nodes.sources.files import writing
+from hierax.nodes.sources.files import DataError, writing
 from hierax.nodes.sources.shots import lens_matrix
 from hierax.nodes.tracking.datasets.bop_json import pose_entry
 from hierax.nodes.tracking.errors import printed
@@ -127,7 +128,7 @@ def write_json(path: Path, content: object) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write a scene; the exit code: 0, or 1 where something cannot be written."""
+    """Write a scene; the exit code: 0, or 1 where something cannot be written, or a dataset is there already."""
     parser = argparse.ArgumentParser(
         prog="python -m hierax.nodes.tracking.generator.scenes",
         description=__doc__,
@@ -138,10 +139,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="draws everything (default: 0)")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"how many (default: {FRAMES})")
     parser.add_argument("--exact", action="store_true", help="say the truth of start and camera")
+    parser.add_argument("--overwrite", action="store_true", help="replace the scene, the models and the truth in OUT")
     options = parser.parse_args(arguments)
     if options.frames < 1 or options.seed < 0:
         parser.error("expected at least 1 frame, and a seed from 0 on")
-    return printed(lambda: write_scene(options.out, options.kind, options.seed, options.frames, options.exact))
+
+    def written() -> Path:
+        if not options.overwrite:
+            _check_none(options.out)
+        return write_scene(options.out, options.kind, options.seed, options.frames, options.exact)
+
+    return printed(written)
+
+
+def _check_none(out: Path) -> None:
+    """See that nothing of a dataset is replaced. Raises DataError: it would be."""
+    for path in (out / "test" / SCENE, out / "models", out / "truth" / SCENE):
+        if os.path.lexists(path):
+            told = "--overwrite replaces what a scene consists of there, or name another folder"
+            raise DataError(f"{path}: is there already; {told}")
 
 
 def _write_models(folder: Path, meshes: Sequence[Mesh], silent: Sequence[int]) -> None:

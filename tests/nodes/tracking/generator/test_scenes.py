@@ -239,3 +239,19 @@ def test_what_pybullet_has_is_put_on_the_table() -> None:
         corners = thing.shape.mesh.vertices @ thing.pose[:3, :3].T + thing.pose[:3, 3]
         assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-9)
         assert max(np.ptp(thing.shape.mesh.vertices, axis=0)) in [pytest.approx(size) for size in FOUND.values()]
+
+
+@pytest.mark.parametrize("name", ["test/000001/rgb/000007.png", "models/obj_000001.ply", "truth/000001/scene_gt.json"])
+def test_the_command_replaces_a_dataset_only_when_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    mine = tmp_path / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    command = [str(tmp_path), "--kind", "scattered", "--seed", "2", "--frames", "1"]
+    assert main(command) == 1
+    assert "is there already; --overwrite replaces what a scene consists of there" in capsys.readouterr().err
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [mine]
+    assert mine.read_text() == "mine"
+    assert main([*command, "--overwrite"]) == 0
+    assert not mine.exists() or mine.read_text() != "mine"
