@@ -5,15 +5,25 @@ import sys
 from collections.abc import Callable
 
 from hierax.nodes.sources.files import DataError
+from hierax.runtime.host.streams import drop_output
+
+_FAILED, _INTERRUPTED = 1, 130  # exit codes, as those of hierax's commands
 
 
 def printed(work: Callable[[], object]) -> int:
-    """Print what the work of a program gives; its exit code: 0, or 1 where data is wrong, which is said in one line."""
+    """Print what the work of a program gives; its exit code: 0, or 1 where data is wrong, which is said in one line, or
+    where nobody reads what is printed any more, or 130 after Ctrl-C."""
     try:
-        print(work())
+        print(work(), flush=True)
     except DataError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 1
+        return _FAILED
+    except BrokenPipeError:
+        drop_output()  # nothing is left to be told, nor to be flushed at the end
+        return _FAILED
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return _INTERRUPTED
     return 0
 
 

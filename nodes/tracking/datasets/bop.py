@@ -18,6 +18,7 @@ from hierax.nodes.sources.calibration import pinhole
 from hierax.nodes.sources.files import DataError, read_numbers, writing
 from hierax.nodes.sources.images import SUFFIXES as IMAGE_SUFFIXES
 from hierax.nodes.sources.images import read_image
+from hierax.nodes.sources.shots import is_rotation
 from hierax.nodes.tracking.datasets import bop_json
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
 from hierax.nodes.tracking.model.files import BOP_UNIT_M, SUFFIXES, read_mesh
@@ -321,13 +322,16 @@ class Result(NamedTuple):
 
 def read_results(path: str | Path, growing: bool = False) -> list[Result]:
     """The lines of a BOP results file, in the file's order; a last line without its end is left out while the file is
-    growing. Raises DataError: it is missing or a line is damaged."""
+    growing. Raises DataError: it is missing or empty, a line is damaged or has no rigid pose, or lines are of several
+    scenes."""
     path = Path(path)
     try:
         text = path.read_text(encoding="ascii", errors="replace")
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}; expected a BOP results file") from error
-    rows = []
+    if not (text or growing):
+        raise DataError(f"{path}: is empty; expected {RESULTS_HEADER}")
+    rows: list[Result] = []
     for number, line in enumerate(text[: text.rfind("\n") + 1 if growing else None].splitlines(), start=1):
         if (number == 1 and line == RESULTS_HEADER) or not line.strip():
             continue
@@ -339,8 +343,20 @@ def read_results(path: str | Path, growing: bool = False) -> list[Result]:
             translation = np.array(fields[5].split(), dtype=np.float64).reshape(3) * BOP_UNIT_M
         except (ValueError, IndexError) as error:
             raise DataError(f"{path}, line {number}: expected {RESULTS_HEADER}") from error
+        _check_line(f"{path}, line {number}", rotation, (score, time_s, *translation))
+        if rows and scene_id != rows[0].scene_id:
+            told = f"scene {scene_id} in a file that begins with scene {rows[0].scene_id}"
+            raise DataError(f"{path}, line {number}: {told}; expected one scene in a file")
         rows.append(Result(scene_id, im_id, obj_id, score, make_pose(rotation, translation), time_s))
     return rows
+
+
+def _check_line(where: str, rotation: Floats, numbers: Sequence[float]) -> None:
+    """See that a line of a results file has a rotation and finite numbers. Raises DataError: it has not."""
+    if not np.isfinite(numbers).all():
+        raise DataError(f"{where}: expected finite numbers as score, t and time")
+    if not is_rotation(rotation):
+        raise DataError(f"{where}: expected a rotation matrix as R, row by row")
 
 
 def _is_number(text: str) -> bool:

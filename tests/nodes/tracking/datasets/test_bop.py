@@ -378,6 +378,29 @@ def test_results_can_go_to_a_device() -> None:
         results.write(4, seen(0.1, 5))
 
 
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        ((), "poses.csv: is empty; expected scene_id"),
+        (("1,2,3,1,nan 0 0 0 1 0 0 0 1,1 2 3,-1",), "line 1: expected a rotation matrix as R"),
+        (("1,2,3,1,5 0 0 0 5 0 0 0 5,1 2 3,-1",), "line 1: expected a rotation matrix as R"),
+        (("1,2,3,1,1 0 0 0 1 0 0 0 -1,1 2 3,-1",), "line 1: expected a rotation matrix as R"),
+        (("1,2,3,1,1 0 0 0 1 0 0 0 1,1 inf 3,-1",), "line 1: expected finite numbers"),
+        (("1,2,3,nan,1 0 0 0 1 0 0 0 1,1 2 3,-1",), "line 1: expected finite numbers"),
+        (
+            ("1,2,3,1,1 0 0 0 1 0 0 0 1,1 2 3,-1", "2,2,3,1,1 0 0 0 1 0 0 0 1,1 2 3,-1"),
+            "line 2: scene 2 in a file that begins with scene 1; expected one scene in a file",
+        ),
+    ],
+)
+def test_results_that_would_be_judged_wrongly_are_refused(tmp_path: Path, lines: tuple[str, ...], told: str) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text("".join(f"{line}\n" for line in lines))
+    with pytest.raises(DataError) as caught:
+        read_results(path)
+    assert told in str(caught.value)
+
+
 def test_damaged_results_are_named(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     path.write_text("scene_id,im_id,obj_id,score,R,t,time\n1,2,3,0.5,1 0 0,1 2 3,-1\n")
