@@ -4,18 +4,16 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hierax.runtime.commands.checks import made
 from hierax.runtime.commands.errors import CommandError, UsageError
-from hierax.runtime.commands.graph import check_zenoh
 from hierax.runtime.commands.options import LARGEST, Overrides, option
 
 if TYPE_CHECKING:
-    from hierax.runtime.deployment import Deployment
     from hierax.runtime.tools.services import Service, Written
 
 _IMAGE = re.compile(r"[\[A-Za-z0-9][\]\[A-Za-z0-9._/:@-]*")
@@ -55,24 +53,13 @@ def export(
     if not _IMAGE.fullmatch(image):
         raise UsageError(f"--image {image!r}: expected the name of an image, such as example.org/hierax:1")
     deployment = read_deployment(file, overrides or ())
-    _check_made(deployment)
+    with made(deployment):  # what cannot be made is told here, not where it is launched
+        pass
     check_settings(deployment, overrides or ())
     service = Service(deployment, tuple(overrides or ()), seed, epochs, image)
     for written in _writer(what)(service):
         print(_write(output, written, overwrite))
     return 0
-
-
-def _check_made(deployment: "Deployment") -> None:
-    """Raises `HieraxError` where a node, as it is set, cannot be made, as a launch would find out elsewhere."""
-    from hierax.runtime.core.binding import OperatorSetting
-    from hierax.runtime.loading.loader import build_hierarchy, extend_import_path
-    from hierax.runtime.loading.node_loader import wait_for
-
-    check_zenoh(deployment)
-    extend_import_path(deployment.import_paths)
-    with deployment.explaining(), redirect_stdout(sys.stderr):  # what a node prints must not mix with the result
-        build_hierarchy(deployment.roster, OperatorSetting(wait=wait_for), deployment.allowance)
 
 
 def _export_recording(recording: Path, rosbag: Path, poses: str, overwrite: bool) -> int:

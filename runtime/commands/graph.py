@@ -1,15 +1,15 @@
 """``hierax graph`` and ``hierax validate``: what a deployment file says, and whether it can be run."""
 
-import sys
 from collections.abc import Iterable
-from contextlib import redirect_stdout
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any
 
+from hierax.runtime.commands.checks import made
 from hierax.runtime.commands.options import File, Format, OutputFormat, Overrides, option
 from hierax.runtime.commands.show import RIGHT, print_json, print_table
 
 if TYPE_CHECKING:
+    from hierax.runtime.core.hierarchy import Hierarchy
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.execution.report import Json
     from hierax.schemas.roster import Reference, Roster
@@ -140,14 +140,11 @@ def validate(
     """Check a deployment file: read it, import and make what it names, and see that that forms a hierarchy."""
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.execution.dry import run_dry
-    from hierax.runtime.loading.loader import extend_import_path
 
     deployment = read_deployment(file, overrides or ())
     roster = deployment.roster
-    check_zenoh(deployment)
-    extend_import_path(deployment.import_paths)
-    with deployment.explaining(), redirect_stdout(sys.stderr):  # what a node prints must not mix with the result
-        _check(deployment)
+    with made(deployment) as hierarchy:
+        _check(deployment, hierarchy)
         calls = run_dry(deployment) if dry else 0
     content, nodes, edges = roster.content_hash().hex(), len(roster.nodes), len(roster.edges)
     if output_format is Format.json:
@@ -159,26 +156,11 @@ def validate(
     return 0
 
 
-def check_zenoh(deployment: "Deployment") -> None:
-    """Raises `HieraxError`, with the place in the file, where Zenoh would refuse the settings there."""
-    if deployment.zenoh is None:
-        return
-    from hierax.runtime.transport.port import TransportError
-    from hierax.runtime.transport.zenoh_session import check_settings
-
-    try:
-        check_settings(deployment.zenoh, deployment.low_latency)
-    except TransportError as error:
-        raise deployment.document.error(("zenoh",), str(error)) from error
-
-
-def _check(deployment: "Deployment") -> None:
+def _check(deployment: "Deployment", hierarchy: "Hierarchy") -> None:
     """All that can be told without calling more than the initial beliefs."""
-    from hierax.runtime.core.binding import OperatorSetting
-    from hierax.runtime.loading.loader import LoadError, build_hierarchy, build_probe, check_initial_belief
-    from hierax.runtime.loading.node_loader import misspelt_operators, wait_for
+    from hierax.runtime.loading.loader import LoadError, build_probe, check_initial_belief
+    from hierax.runtime.loading.node_loader import misspelt_operators
 
-    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(wait=wait_for), deployment.allowance)
     for name, node in hierarchy.nodes.items():
         for what in misspelt_operators(type(node)):
             raise LoadError(what, f"nodes.{name}.class")

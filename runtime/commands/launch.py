@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hierax.runtime.commands.checks import check_zenoh
 from hierax.runtime.commands.errors import OK, CommandError, notify, unhindered
-from hierax.runtime.commands.graph import check_zenoh
 from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, recording_of, report_outcome, selection_of
 from hierax.runtime.host.private_files import check_encodable

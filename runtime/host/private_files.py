@@ -178,6 +178,11 @@ def is_shown_alive(path: Path) -> bool | None:
         return None
     except (OSError, UnsafeFileError):
         return True
+    return is_held(file)
+
+
+def is_held(file: int) -> bool:
+    """Whether a process holds a file, by a descriptor of it, which is closed. Where it cannot be told, one does."""
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:

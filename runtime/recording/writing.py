@@ -65,6 +65,10 @@ class _Late:
         self._file = file
         self._kept: BytesIO | None = BytesIO()  # None: it is begun
 
+    @property
+    def is_begun(self) -> bool:
+        return self._kept is None
+
     def begin(self) -> None:
         """What was in the file is gone, and what was kept is in it."""
         if self._kept is None:
@@ -113,6 +117,8 @@ class McapFile:
 
     def begin(self) -> None:
         """There is something worth keeping: replace what was in the file. `RecordingError` if it cannot be written."""
+        if self._file.is_begun:  # with each message after the first epoch
+            return
         with self._mapped():
             self._file.begin()
 

@@ -1,6 +1,5 @@
 """What launches leave behind when they are killed: processes, and folders of checkpoints."""
 
-import fcntl
 import os
 import re
 import signal
@@ -9,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
+
+from hierax.runtime.host.private_files import is_held
 
 NODE_PROCESS = "hierax.runtime.launch.forking"  # what they are forked from, and so they themselves
 _FOLDER = re.compile(r"hierax-[a-z0-9_]{8}")
@@ -77,17 +78,6 @@ def _is_unused(folder: Path) -> bool:
             return False
         if not all(_OURS.fullmatch(path.name) for path in files):
             return False  # not ours after all
-        return not any(_is_locked(path) for path in files if path.suffix == ".lock")
+        return not any(is_held(os.open(path, os.O_RDONLY | os.O_CLOEXEC)) for path in files if path.suffix == ".lock")
     except OSError:
         return False  # being removed
-
-
-def _is_locked(path: Path) -> bool:
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False

@@ -34,12 +34,18 @@ def pipes_of(pid: int) -> set[str]:
     return {found for each in folder.iterdir() if (found := os.readlink(each)).startswith("pipe:")}
 
 
+def device(folder: Path) -> Path:
+    """The file of a deployment whose world has a device."""
+    file = folder / "device.yaml"
+    text = DEVICE.format(log=folder / "device.log", on_uncertain_act="repeat", deadline_s="null", eye="")
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
 def test_nodes_outlive_what_they_were_forked_from_and_others_are_forked_from_another_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "device.yaml"
-    text = DEVICE.format(log=tmp_path / "device.log", on_uncertain_act="repeat", deadline_s="null", eye="")
-    file.write_text(text, encoding="utf-8")
+    file = device(tmp_path)
     wanted = run_here(str(file), "--epochs", str(EPOCHS))["digest"]
     monkeypatch.setenv(MOVES_S, "0.01")
     with Launched(tmp_path, str(file), "--epochs", str(EPOCHS)) as launch:
@@ -62,9 +68,7 @@ def test_a_node_that_cannot_end_by_itself_does_not_outlive_a_launch_that_is_kill
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that is stopped hears nothing of it, nor does one whose interpreter a library in C holds."""
-    file = tmp_path / "device.yaml"
-    text = DEVICE.format(log=tmp_path / "device.log", on_uncertain_act="repeat", deadline_s="null", eye="")
-    file.write_text(text, encoding="utf-8")
+    file = device(tmp_path)
     monkeypatch.setenv(MOVES_S, "0.01")
     with Launched(tmp_path, str(file), "--epochs", "100000") as launch:
         launch.until_epoch(5)
@@ -110,9 +114,7 @@ def test_what_a_node_has_started_ends_with_it_though_the_supervisor_hears_of_it_
 
 def test_nodes_have_their_own_streams_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pipe that another process held open would never end."""
-    file = tmp_path / "device.yaml"
-    text = DEVICE.format(log=tmp_path / "device.log", on_uncertain_act="repeat", deadline_s="null", eye="")
-    file.write_text(text, encoding="utf-8")
+    file = device(tmp_path)
     monkeypatch.setenv(MOVES_S, "0.01")
     with Launched(tmp_path, str(file), "--epochs", "100000") as launch:
         launch.until_epoch(5)
