@@ -61,6 +61,12 @@ class Resend(NamedTuple):
     receivers: tuple[str, ...]
 
 
+class CatchUp(NamedTuple):
+    """Owner to process: with rates, the run's last epoch is committed; say so when you have done all up to it."""
+
+    epoch: int
+
+
 class Dismiss(NamedTuple):
     """Owner to process: it is not in the hierarchy, and why; `again`: lost, a new one may come, from its checkpoint."""
 
@@ -127,6 +133,14 @@ class Status(NamedTuple):
     version: int = 0  # of the roster that the node is in
 
 
+class CaughtUp(NamedTuple):
+    """Process to owner: the answer to `CatchUp`."""
+
+    name: str
+    process: str
+    epoch: int
+
+
 class Failed(NamedTuple):
     """Process to owner: an operator or edge function of a node that fails alone has raised, and why, in one line."""
 
@@ -161,12 +175,12 @@ class Propose(NamedTuple):
     alone: tuple[str, ...] = ()  # those of them that fail alone
 
 
-Offered = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend
+Offered = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend | CatchUp
 """What a process is told by the owner on its own key; a dismissal comes by way of its supervisor."""
 
 Order = Offered | Dismiss  # what a process is told by the owner
 
-Word = Join | Ready | State | Taken | Fetch | Status | Failed
+Word = Join | Ready | State | Taken | Fetch | Status | Failed | CaughtUp
 """What a process says to the owner on the owner's key; the rest comes by way of the supervisor."""
 
 Control = Order | Word | Lost | Census | Propose  # every kind of control message

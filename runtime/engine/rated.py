@@ -131,8 +131,8 @@ class RatedEngine(SayingEngine):
         self._go_on()
 
     def begin_again(self, attempt: int) -> None:
-        """A process was lost, and another is there: go on with the epoch under way."""
-        self._greets = True
+        """A process was lost, and another is there: go on with the epoch under way, or be there for those behind."""
+        self.begun = self._greets = True
         self._greet_first()
         self._go_on()
 
@@ -166,12 +166,9 @@ class RatedEngine(SayingEngine):
         self._greets = True
         self._greet_first()
 
-    def goes_on_after(self, last: int) -> bool:
-        """Whether something is yet to be done up to the run's last epoch; where nothing is, it is done with that."""
-        if self.phase is not Phase.DONE or self._coming.next <= last:
-            return True
-        self.epoch = max(self.epoch, last)
-        return False
+    def is_done_with(self, epoch: int) -> bool:
+        """Whether nothing is left to be done up to an epoch, which the node may have no part in."""
+        return self.phase is Phase.DONE and self._coming.next > epoch
 
     # --- what comes
 

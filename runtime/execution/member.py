@@ -166,6 +166,9 @@ class Member(Host):
             self._report(self.status(order.inquiry))
         elif isinstance(order, control.Resend):
             self._resend(order)
+        elif isinstance(order, control.CatchUp):
+            if isinstance(self.engine, RatedEngine) and self.engine.is_done_with(order.epoch):
+                self._report(control.CaughtUp(self.name, self.process, order.epoch))
         elif isinstance(order, control.Dismiss):
             self.dismissed = order.why
             self.again = order.again

@@ -130,7 +130,9 @@ class WorldMember(World, OwnerEffects):
         elif self.pacemaker.may_begin(self._runner.engine):
             self.owner.take_back(self.member.process)
         else:
-            self.owner.finish()
+            self._finish()
+            if not self.owner.progress.over:
+                self.owner.take_back(self.member.process)
         self._runner.finish()
 
     def take_word(self, word: Control) -> None:
@@ -181,12 +183,16 @@ class WorldMember(World, OwnerEffects):
         engine, pacemaker = self._runner.engine, self.pacemaker
         self.paused = False
         self._supervision.begins(self.owner, epoch, attempt, version)
-        if engine.phase is Phase.DONE:
+        if engine.phase is Phase.DONE and not pacemaker.done:
             pacemaker.start()
         if version != engine.wiring.roster:
             engine.rewire(version)
             pacemaker.chain.roster_hash = engine.wiring.place.roster_hash
             self._roster_bytes = b""
+        if pacemaker.done:  # somebody is back who is behind
+            self.write_record()
+            engine.begin_again(attempt)
+            return
         self._runner.drain(pacemaker.limit == epoch or self.owner.progress.drains)
         self.write_record()
         if pacemaker.pace is not None and engine.phase is Phase.DONE:
@@ -316,7 +322,10 @@ class WorldMember(World, OwnerEffects):
                 self.owner.proceed()
         elif self.pacemaker.done:
             self.write_record()
-            self.owner.finish()
+            self._finish()
+
+    def _finish(self) -> None:
+        self.owner.finish(drained=self.pacemaker.limit == self._runner.engine.epoch)
 
 
 def _living_trial(recorded: tuple[str, Roster, checkpoint.Place, bool] | None, living: Container[str]) -> Tried | None:

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.execution.world_member import WorldMember
@@ -125,7 +124,7 @@ class WorldWatch:
             self.pipe.beat(owner)
         if world.pacemaker.asked:
             world.end_soon()
-        if world.pacemaker.done:
+        if owner.progress.over:
             self.pipe.finish(owner)
         if world.paused and world.wait_s() == 0.0:
             world.resume()
@@ -143,7 +142,6 @@ class NodeLoop:
     words: ControlQueue  # what others say to the member, or to the owner
     stopping: threading.Event  # set when it is to stop
     errand: Callable[[], None] | None = None  # what the node's thread does once, between two messages
-    last: int | None = None  # then the run's last epoch, with which it has to be done; None: with nothing
     _ticks: bool = False
     _ticked_s: float = field(default_factory=time.monotonic)
     _moved_s: float = field(default_factory=time.monotonic)
@@ -198,7 +196,7 @@ class NodeLoop:
 
     def _run_in_step(self) -> None:
         watch, wait_s = self.watch, None
-        while not (self.stopping.is_set() and self._has_caught_up()):
+        while not self.stopping.is_set():
             if self.words or self._ticks or self.errand is not None:
                 self._serve()
             if self.member.dismissed:
@@ -208,13 +206,6 @@ class NodeLoop:
             took = self._take_next(self.port.poll if self.words or wait_s is not None else self.port.receive)
             if wait_s and not took:
                 time.sleep(min(wait_s, NAP_S))
-
-    def _has_caught_up(self) -> bool:
-        """Whether a node with rates, which may be behind the world, is done with all that it is to do."""
-        engine = self.member.engine
-        if self.last is None or not isinstance(engine, RatedEngine):
-            return True
-        return not engine.goes_on_after(self.last)
 
     def _run_freely(self) -> None:
         """Do the same as in step, but the node takes its turns when they are due, on the newest of what has come."""

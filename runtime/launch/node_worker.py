@@ -17,6 +17,8 @@ from numpy.typing import DTypeLike, NDArray
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.core.staleness import Staleness
+from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.rated import RatedEngine
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.member import Member, Seat
@@ -101,6 +103,7 @@ class NodeWorker:
         self._leaves = False
         self._over: Roster | None = None  # the last one, where the run may have been over before it was taken in
         self._epoch: int | None = None
+        self._last: int | None = None
         # then the session is not closed: what still comes from its peers would be reported as errors
         self.hurried = False
 
@@ -112,12 +115,11 @@ class NodeWorker:
         return (0, 0) if engine is None else (engine.epoch, engine.attempt)
 
     def stop(self, last: int | None = None, roster: Value = None) -> None:
-        """Make the node's thread come to its end: at once, or when all is done up to the last epoch, as it is
-        committed. With the last roster it reports even where nobody has taken it in."""
+        """Make the node's thread come to its end, after the run's last epoch, where that is known. With the last
+        roster it reports even where nobody has taken it in."""
         if roster is not None:
             self._over = Roster.read(roster)
-        if self._loop is not None:
-            self._loop.last = last
+        self._last = last
         self._stopping.set()
         self._wake()
 
@@ -449,13 +451,19 @@ class NodeWorker:
         if self._leaves and pacemaker is not None:
             self._epoch = pacemaker.chain.epoch
         engine = member.runner.engine
-        fields: dict[str, Value] = {**vars(member.runner.report(self._epoch)), "epoch": engine.epoch}
+        fields: dict[str, Value] = {**vars(member.runner.report(self._epoch)), "epoch": self._reached(engine)}
         fields["attempt"] = engine.attempt
         if pacemaker is not None:
             chain, times = pacemaker.chain, pacemaker.times
             fields["run"] = [chain.epoch, chain.digest, times.wall_s, times.took_s.numbers()]
         self.pipe.say(frames.REPORT, **fields, timing=self._timing())
         return 0
+
+    def _reached(self, engine: Engine) -> int:
+        """The last epoch that the node is done with; with rates it may have no part in it."""
+        last = self._last
+        past = last is not None and isinstance(engine, RatedEngine) and engine.is_done_with(last)
+        return last if last is not None and past else engine.epoch
 
     def _wake(self) -> None:
         if self._port is not None:

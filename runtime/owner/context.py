@@ -34,11 +34,12 @@ class EpochProgress:
         self.running = False  # whether an epoch is under way
         self.drained = False  # whether the last one committed did not
         self.held = False  # whether the next one is not due yet
-        self.over = False  # whether it was the last one of the run
+        self.last = False  # whether it was the last one of the run; with rates, nodes may be behind it
+        self.over = False  # whether all are done with that
         self._skips = self.attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
 
     def begin(self) -> None:
-        self.running, self.held = True, False
+        self.running, self.held = not self.last, False
         self.attempt += 1
         self.inquiry.start()
         self.effects.begin(self.epoch + 1, self.attempt, self.members.roster.version)
@@ -52,8 +53,8 @@ class EpochProgress:
         self.settled = False
 
     def tick(self) -> None:
-        if self.running and not self.members.lost:
-            self.inquiry.tick(self.epoch + 1, self.attempt)
+        if (self.running or self.last) and not self.members.lost:
+            self.inquiry.tick(self.epoch + self.running, self.attempt)
 
 
 class Answers:

@@ -8,6 +8,7 @@ from hierax.runtime.loading.allowance import Allowance, NotAllowedError, Refusal
 from hierax.runtime.owner.arrivals import Arrivals, Suspicions
 from hierax.runtime.owner.context import OVER, Answers, EpochProgress, OwnerContext, OwnerPart
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.ending import Ending
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.losses import Losses
 from hierax.runtime.owner.members import Born, Members, Request, Stage, Tried
@@ -55,6 +56,7 @@ class Owner(OwnerPart):
         self._suspicions = Suspicions(context)
         self._arrivals = Arrivals(context, self.planning, self._suspicions)
         self._losses = Losses(context, self.planning)
+        self._ending = Ending(context)
         self._refusals = Refusals()
         self._told_s: dict[str, float] = {}
 
@@ -68,7 +70,7 @@ class Owner(OwnerPart):
     def proceed(self) -> None:
         """The world may begin the next epoch."""
         progress = self.progress
-        if progress.running or progress.held:
+        if progress.running or progress.held or progress.last:
             return
         plan = self.planning.plan
         if not self.members.lost:
@@ -94,20 +96,31 @@ class Owner(OwnerPart):
         if self.planning.queue:
             self.planning.reconsider()
 
-    def finish(self) -> None:
-        """The last epoch is committed and recorded: what is still asked for comes too late."""
-        self.progress.over = True
+    def finish(self, drained: bool) -> None:
+        """The last epoch is committed and recorded: what is still asked for comes too late.
+
+        With rates, and where that was no drained epoch, nodes may be behind; the run is over when all have said that
+        they are done, and those that are lost meanwhile have come back."""
+        if self.progress.last:
+            return
+        self.progress.last = True
         self.members.dismiss_outlived()
         self._answers.report(self.progress.epoch)
         self.planning.finish(OVER)
+        if drained or not self._policy.rated:
+            self.progress.over = True
+        else:
+            self._ending.begin()
+            self.planning.reconsider()
 
     def hear(self, word: control.Control) -> None:
         """Take in what a process, a supervisor or a user says."""
         if isinstance(word, (control.Join, control.Ready, control.Fetch)):
             self.members.hear(word.process)
-        if self.progress.over:
-            if isinstance(word, control.Propose):
-                self._answer_late(word.request)
+        if self.progress.last and isinstance(word, control.Propose):
+            self._answer_late(word.request)
+        elif self.progress.over:
+            return
         elif isinstance(word, (control.Ready, control.State, control.Taken)):
             self.planning.hear(word)
         elif isinstance(word, control.Join):
@@ -121,6 +134,8 @@ class Owner(OwnerPart):
         elif isinstance(word, control.Status):
             self._inquiry.hear(word)
             self._suspicions.answer(word)
+        elif isinstance(word, control.CaughtUp):
+            self._ending.hear(word)
         elif isinstance(word, control.Propose):
             self._on_propose(word)
 
@@ -130,6 +145,7 @@ class Owner(OwnerPart):
         self._losses.tick()
         self.planning.tick()
         self.progress.tick()
+        self._ending.tick()
 
     def _on_propose(self, word: control.Propose) -> None:
         key = word.request

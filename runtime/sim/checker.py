@@ -184,8 +184,9 @@ class Checker:
         self._starts = {key: start for key, start in self._starts.items() if key[0] <= epoch}
         del self._ends[max(epoch, 1) :]
 
-    def finishes(self, answers: Mapping[str, str]) -> None:
-        """The run is over: whether all was done as was said of the changes (``epoch N``, or why not)."""
+    def finishes(self, answers: Mapping[str, str], encoded: Mapping[str, bytes]) -> None:
+        """The run is over, with these living processes' states: whether all was done as was said of the changes
+        (``epoch N``, or why not)."""
         self._check_acts()
         for proposal in self._scenario.proposals:
             answer, change = answers[proposal.key], proposal.change

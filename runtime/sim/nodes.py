@@ -72,8 +72,15 @@ class Drawer(Mixer):
 class MixingWorld(Mixer, World):
     """N₀; its clock depends on its belief."""
 
+    def __init__(self, name: str, policies: int = 1, generation: int = 0, last: int | None = None) -> None:
+        super().__init__(name, policies, generation)
+        self._last = last  # the epoch with which it has finished; None: it never has
+
     def time_s(self, belief: Value, epoch: int) -> float:
         return epoch + float(belief["mark"][0]) / 256.0
+
+    def finished(self, belief: Value) -> bool:
+        return bool(belief["epochs"] == self._last)
 
 
 class ActingWorld(MixingWorld):

@@ -45,6 +45,12 @@ class Surroundings:
     def world(self) -> "SimProcess | None":
         return next((process for process in self.processes.values() if process.is_world), None)
 
+    @property
+    def over(self) -> bool:
+        """Whether the run is, as the world's process says."""
+        world = self.world
+        return world is not None and world.world is not None and world.world.over
+
     def states(self, turn: Turn) -> Mapping[str, bytes]:
         """The states that the processes in force have now; where an attempt was foretold, of those in this one."""
         engines = {
@@ -80,6 +86,10 @@ class Owning(Protocol):
 
     def tick(self) -> None:
         """Time has passed."""
+
+    @property
+    def over(self) -> bool:
+        """Whether the run is."""
 
 
 class SimProcess(Host):

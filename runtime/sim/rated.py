@@ -17,7 +17,7 @@ from hierax.runtime.sim.journal import FAULT, VERDICT, WORD
 from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario
 from hierax.schemas.messages import Header
 from hierax.schemas.rates import EVERY_EPOCH, Pair, Rates, Turns
-from hierax.schemas.roster import Change, Detach, Replace
+from hierax.schemas.roster import Change, Detach, Replace, Roster
 
 MAX_EVERY, MAX_DELAY = 5, 6
 NOT_WITH_RATES = frozenset(
@@ -34,10 +34,19 @@ def with_rates(scenario: Scenario) -> Scenario:
     """The same with rates, also of what is attached, and with other ones of some nodes that replace another."""
     rng, roster = Random(f"{scenario.seed}/rates"), scenario.roster
     sensed = [edge.pair for edge in roster.edges if edge.sense is not None]
+    if Random(f"{scenario.seed}/end").random() < 0.5:
+        roster = _ending(roster, scenario.epochs)
     rates = draw_rates(rng, sorted(roster.nodes.keys() - {roster.world}), list(roster.pairs), sensed)
     proposals = tuple(replace(each, change=rated(rng, each.change), alone=False) for each in scenario.proposals)
     roster = roster.with_rates(rates)
     return replace(scenario, roster=roster, proposals=proposals, on_loss={}, left_dead=frozenset(), trials_fail=False)
+
+
+def _ending(roster: Roster, last: int) -> Roster:
+    """The same with a world that finishes by itself, so that its last epoch is no drained one."""
+    world = roster.nodes[roster.world]
+    ends = replace(world, parameters={**world.parameters, "last": last})
+    return replace(roster, nodes={**roster.nodes, roster.world: ends})
 
 
 def rated(rng: Random, change: Change) -> Change:
@@ -94,14 +103,21 @@ class RatedChecker(Checker):
         now = unrolled_update(last)
         self._unrolled[epoch:] = [now]
         states = now.active.states
-        if epoch == self._scenario.epochs and not self.excused:  # a drained one: all are done with it
-            for name in sorted(encoded):
-                if encoded[name] != encode_state(*states[name]):
-                    self.violate(f"{name}: its state after the last epoch is not {states[name]}")
+        if epoch == self._scenario.epochs and not self._scenario.ends_itself:  # a drained one: all are done with it
+            self._check_last(states, encoded)
         roster = start.roster
         chain = DigestChain(roster.content_hash(), epoch - 1, self._after(epoch - 1).digest)
         digest = chain.commit(epoch, now.digests.get(roster.world, NO_DIGEST))
         self._candidates[epoch] = End(epoch, roster, states, digest)
+
+    def finishes(self, answers: Mapping[str, str], encoded: Mapping[str, bytes]) -> None:
+        super().finishes(answers, encoded)
+        self._check_last(self._ends[-1].states, encoded)
+
+    def _check_last(self, states: Mapping[str, ActiveNode], encoded: Mapping[str, bytes]) -> None:
+        for name in [] if self.excused else sorted(encoded):
+            if encoded[name] != encode_state(*states[name]):
+                self.violate(f"{name}: its state after the last epoch is not {states[name]}")
 
 
 class Unlooked(Inspector):

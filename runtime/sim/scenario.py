@@ -115,6 +115,11 @@ class Scenario:
         return self.roster.timing is not None
 
     @property
+    def ends_itself(self) -> bool:
+        """Whether the world finishes by itself, so that with rates the last epoch is no drained one."""
+        return "last" in self.roster.nodes[self.roster.world].parameters
+
+    @property
     def alone(self) -> tuple[str, ...]:
         return tuple(sorted(self.on_loss.keys() & self.roster.nodes.keys()))
 

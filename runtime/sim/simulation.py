@@ -8,6 +8,7 @@ from typing import NamedTuple
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.sim import scenario
 from hierax.runtime.sim.checker import Checker, ViolationError
+from hierax.runtime.sim.inspection import Turn
 from hierax.runtime.sim.journal import CHANGE, FAULT, Journal, Tally
 from hierax.runtime.sim.network import Clock, Network
 from hierax.runtime.sim.process import SimProcess, Surroundings
@@ -153,7 +154,8 @@ class Simulation:
                 return
             if around.clock.now > limit_s or events > MAX_EVENTS or not around.clock.step():
                 around.checker.violate(self._stuck(limit_s))
-        around.checker.finishes(self.supervisor.answers)
+        last = Turn(around.checker.version, around.checker.told, 0)
+        around.checker.finishes(self.supervisor.answers, around.states(last))
         for proposal in scenario.proposals:
             if self.supervisor.answers[proposal.key].startswith("epoch "):
                 around.journal.count(CHANGE, type(proposal.change).__name__)
@@ -171,7 +173,9 @@ class Simulation:
 
     def _done(self) -> bool:
         scenario = self._scenario
-        return self.around.checker.told >= scenario.epochs and len(self.supervisor.answers) == len(scenario.proposals)
+        if self.around.checker.told < scenario.epochs or len(self.supervisor.answers) < len(scenario.proposals):
+            return False
+        return self.around.over or not scenario.rated
 
     def _stuck(self, limit_s: float) -> str:
         unanswered = sorted({proposal.key for proposal in self._scenario.proposals} - self.supervisor.answers.keys())

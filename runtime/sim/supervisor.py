@@ -61,6 +61,10 @@ class SimWorld:
         elif self._running is not None:
             self._running.take_word(word)
 
+    @property
+    def over(self) -> bool:
+        return self._running is not None and self._running.owner.progress.over
+
     def tick(self) -> None:
         if self._running is not None:
             self._running.tick()
@@ -103,7 +107,8 @@ class SimWorld:
             rated=scenario.rated,
             overlaps=scenario.rated,
         )
-        pacemaker = Pacemaker(DigestChain(scenario.roster.content_hash()), scenario.epochs, process.publish, clock)
+        limit = None if scenario.ends_itself else scenario.epochs
+        pacemaker = Pacemaker(DigestChain(scenario.roster.content_hash()), limit, process.publish, clock)
         seat = Seat(process.name, process.token, process.wire, self._port)
         own = (seat, process.send_order, self._supervision, slots)
         uncertain: OnUncertainAct = "repeat" if scenario.on_uncertain_act == "repeat" else "skip"

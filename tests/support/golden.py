@@ -13,6 +13,8 @@ import numpy as np
 
 from hierax.schemas.control import (
     AskStatus,
+    CatchUp,
+    CaughtUp,
     Census,
     Control,
     Dismiss,
@@ -111,12 +113,14 @@ CONTROL: tuple[Control, ...] = (
     TakeOver(3, 217, 1, b"\x00state", b"\x00said"),
     AskStatus(5),
     Resend(218, 0, ("arm", "spatial")),
+    CatchUp(218),
     Dismiss("another process runs it", again=True),
     Join("arm", "b7e1", "", 217, True, "", 3, 1),
     Ready("arm", "b7e1", 3, "no such class ü"),
     State("arm", 3, b"\x00state", b"\x00said"),
     Taken("arm", 3, ""),
     Fetch("arm", "b7e1", 3),
+    CaughtUp("arm", "b7e1", 218),
     Status("arm", 5, 218, 0, (("world", OBSERVATIONS), ("spatial", CONTEXT)), "observe of arm", 3),
     Failed("arm", "b7e1", 3, "arm", "observe in epoch 218: out of luck"),
     Lost("arm", "b7e1", True),

@@ -15,6 +15,8 @@ from hierax.runtime.owner.planning import MAX_DROPPED
 from hierax.schemas.control import (
     NEVER,
     AskStatus,
+    CatchUp,
+    CaughtUp,
     Control,
     Dismiss,
     Failed,
@@ -814,9 +816,76 @@ def test_who_asks_for_the_roster_again_and_again_is_told_it_some_times() -> None
 
 def test_what_was_made_is_told_when_the_run_is_over() -> None:
     owned = Owned(epoch=4, attempt=0, highest=6, born={"high": (6, 4, "c1"), "low": (0, 1, "")})
-    owned.owner.finish()
+    owned.owner.finish(drained=True)
     owned.take()
     assert owned.hear(propose(TOP), propose(TOP, "c2")) == [("answer", "c1", 4, ""), ("answer", "c2", 0, OVER)]
+
+
+RATED = replace(SETTINGS, rated=True, overlaps=True)
+
+
+def last_epoch(**options: Any) -> Owned:
+    """An owner with rates in whose last epoch others may be behind the world."""
+    owned = Owned(RATED, epoch=4, attempt=0, **options)
+    owned.owner.finish(drained=False)
+    return owned
+
+
+def test_with_rates_a_run_is_over_when_all_are_done_with_the_last_epoch() -> None:
+    owned = last_epoch()
+    assert owned.take() == [("high.1", CatchUp(4)), ("low.1", CatchUp(4))]
+    owned.hear(CaughtUp("low", "low.1", 4), CaughtUp("high", "high.1", 3), CaughtUp("high", "high.0", 4))
+    assert not owned.owner.progress.over
+    assert owned.wait(0.1) == [("high.1", CatchUp(4))], "the question may have been lost"
+    assert owned.hear(propose(TOP)) == [("answer", "c1", 0, OVER)]
+    owned.hear(CaughtUp("high", "high.1", 4))
+    assert owned.owner.progress.over
+    assert owned.wait(0.1) == []
+
+
+def test_with_rates_who_is_lost_at_the_end_is_had_back_first() -> None:
+    owned = last_epoch()
+    owned.hear(CaughtUp("low", "low.1", 4), Lost("high", "high.1", True), CaughtUp("high", "high.1", 4))
+    assert not owned.owner.progress.over
+    assert sorted(prepares(owned.hear(join("high.2", 3)))) == ["high.2", "low.1", "world.1"]
+    assert owned.ready(1, "world.1", "low.1", "high.2")[0] == ("begin", 5, 1, 1), (
+        "the world takes up the version, no epoch"
+    )
+    assert not owned.owner.progress.running
+    assert owned.wait(0.1) == [("high.2", CatchUp(4))]
+    owned.hear(CaughtUp("high", "high.2", 4))
+    assert owned.owner.progress.over
+
+
+def test_with_rates_a_change_that_is_under_way_at_the_end_is_refused_and_who_is_back_is_not() -> None:
+    owned = Owned(RATED, epoch=4, attempt=0)
+    owned.hear(Lost("high", "high.1", True), propose(TOP), join("high.2", 3))
+    owned.take()
+    owned.owner.finish(drained=False)
+    calls = owned.take()
+    assert ("answer", "c1", 0, OVER) in calls
+    assert sorted(prepares(calls)) == ["high.2", "low.1", "world.1"]
+
+
+def test_with_rates_nobody_is_behind_a_drained_last_epoch() -> None:
+    owned = Owned(RATED, epoch=4, attempt=0)
+    owned.owner.finish(drained=True)
+    assert owned.owner.progress.over
+    assert owned.take() == []
+
+
+def test_with_rates_who_hangs_at_the_end_is_killed() -> None:
+    owned = last_epoch()
+    owned.hear(CaughtUp("low", "low.1", 4))
+    ended: list[tuple[Any, ...]] = []
+    while not ended and owned.now < 10.0:
+        calls = owned.wait(0.3)
+        ended = [call for call in calls if call[0] == "end"]
+        for number in {order.inquiry for _, order, *_ in calls if isinstance(order, AskStatus)}:
+            for name, busy in (("world", ""), ("low", ""), ("high", "observe")):
+                owned.hear(Status(name, number, 4, 0, (), busy))
+    assert [process for _, process, _ in ended] == ["high.1"]
+    assert "epoch 4" in ended[0][2]
 
 
 def test_the_world_comes_back() -> None:
@@ -851,7 +920,7 @@ def test_the_run_is_over() -> None:
     owned = begun()
     owned.hear(propose(TOP))
     owned.owner.committed(1)
-    owned.owner.finish()
+    owned.owner.finish(drained=True)
     assert owned.take() == [("answer", "c1", 0, "the run is over")]
     assert owned.hear(propose(Detach("high"), "c2")) == [("answer", "c2", 0, "the run is over")]
     assert owned.hear(join("top.1", request="c1"), Lost("low", "low.1", True)) == []
