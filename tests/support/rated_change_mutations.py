@@ -12,6 +12,7 @@ from hierax.runtime.engine.table import Phase
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.member import Member
 from hierax.runtime.owner.context import EpochProgress
+from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
 from hierax.schemas.checkpoint import decode_under_way, encode_under_way
 from hierax.schemas.control import HandOver, State
@@ -19,7 +20,7 @@ from hierax.schemas.messages import encode_message
 from hierax.schemas.rates import Rates
 
 TAKE_OVER, PREPARE = RatedEngine.take_over, Engine.prepare
-RECONSIDER, COMMITTED = Planning.reconsider, EpochProgress.committed
+RECONSIDER, COMMITTED, FINISH = Planning.reconsider, EpochProgress.committed, Owner.finish
 
 
 def _counts_when_prepared(engine: RatedEngine, wiring: Wiring) -> None:
@@ -55,6 +56,7 @@ def _changes_beside_what_is_lost(planning: Planning) -> None:
 
 def _begins_anew_with_each_version(engine: RatedEngine, wiring: Wiring) -> None:
     Engine._wire(engine, wiring)
+    engine._instances = {**wiring.below, **wiring.above}
     engine._take_rates(wiring.place.rates or Rates())
     engine._epochs_ahead = 1000
 
@@ -63,6 +65,16 @@ def _hands_over_what_it_has_by_now(member: Member, order: HandOver) -> None:
     engine = member.engine
     if engine is not None and engine.phase is Phase.DONE:
         member._report(State(member.name, order.version, engine.encoded, engine.under_way))
+
+
+def _over_with_the_world(owner: Owner, drained: bool) -> None:
+    FINISH(owner, drained=True)
+
+
+def _hears_nobody_at_the_end(engine: RatedEngine, attempt: int) -> None:
+    engine._greets = True
+    engine._greet_first()
+    engine._go_on()
 
 
 MISTAKES: dict[str, tuple[Any, str, Any]] = {
@@ -74,5 +86,7 @@ MISTAKES: dict[str, tuple[Any, str, Any]] = {
     "a change is made beside who is lost": (Planning, "reconsider", _changes_beside_what_is_lost),
     "rates begin anew with a version that leaves them": (RatedEngine, "_wire", _begins_anew_with_each_version),
     "what is handed over is what the node has by now": (Member, "_hand_over", _hands_over_what_it_has_by_now),
+    "a run is over with its world": (Owner, "finish", _over_with_the_world),
+    "a world that comes back at the end hears nobody": (RatedEngine, "begin_again", _hears_nobody_at_the_end),
 }
 """What each breaks."""

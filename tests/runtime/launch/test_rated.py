@@ -82,6 +82,22 @@ def test_who_is_behind_when_the_world_has_finished_comes_to_the_end(tmp_path: Pa
     check_as_run(report, file, *last)
 
 
+@pytest.mark.parametrize("victims", [("slow",), ("quick", "slow"), ("world",), ("world", "middle")], ids=" ".join)
+def test_who_dies_when_the_world_has_finished_comes_to_the_end(
+    tmp_path: Path, file: str, victims: tuple[str, ...]
+) -> None:
+    last = ("--set", "nodes.world.parameters.last=70", "--set", "nodes.slow.parameters.takes_s=1.5")
+    with Launched(tmp_path, file, *last, *PACED) as launch:
+        launch.until_epoch(70)  # the turn of slow in epoch 67 counts in none of them, and goes on
+        assert launch.running
+        for name in victims:
+            launch.kill(name)
+        report = launch.report()
+        assert all(f"{name}: its process ended by signal SIGKILL" in launch.err for name in victims)
+    assert report["epochs"] == 70
+    check_as_run(report, file, *last)
+
+
 def test_who_takes_longer_than_its_delay_is_waited_for_and_named(tmp_path: Path, file: str) -> None:
     late = ("--set", "nodes.slow.parameters.takes_s=0.3", "--epochs", "100")
     with Launched(tmp_path, file, *late, *PACED) as launch:
