@@ -1,6 +1,5 @@
 """``hierax record``, ``check`` and ``diff``, and what all commands about recordings have in common."""
 
-import os
 import signal
 import sys
 from collections.abc import Iterable, Sequence
@@ -186,7 +185,7 @@ def record(
     with claimed_file(output, options.overwrite) as target:
         launch = launch_meant(options.run if hierarchy is None else hierarchy, options.connect, options.key)
         with client_at(launch) as client:
-            told = client.ask({"ask": "record", "pid": 0 if options.connect else os.getpid()})
+            told = client.ask({"ask": "record"})
         info, access = RunInfo.read(told), Access.read(told.get("access"))
         recorder = Recorder(info, target, selection=selection, epochs=epochs)
         recording = LiveRecording(recorder, launch.endpoint, access, watches=True, secret=launch.secret)

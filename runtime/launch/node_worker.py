@@ -461,9 +461,9 @@ class NodeWorker:
 
     def _reached(self, engine: Engine) -> int:
         """The last epoch that the node is done with; with rates it may have no part in it."""
-        last = self._last
-        past = last is not None and isinstance(engine, RatedEngine) and engine.is_done_with(last)
-        return last if last is not None and past else engine.epoch
+        if self._last is not None and isinstance(engine, RatedEngine) and engine.is_done_with(self._last):
+            return self._last
+        return engine.epoch
 
     def _wake(self) -> None:
         if self._port is not None:

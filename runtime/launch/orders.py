@@ -207,6 +207,10 @@ class Orders:
     def terms(self, name: str) -> ProcessTerms:
         return self._terms.get(name, self.deployment.restart)
 
+    def is_kept(self, order: NodeOrder) -> bool:
+        """Whether the next process of a node in force would go on with the checkpoint of an order."""
+        return Path(order.checkpoint).name == self._lineages.get(order.name, order.name)
+
     def adopt(self, request: str, terms: Mapping[str, ProcessTerms]) -> None:
         """A change is in force: its new nodes, whose terms these are, have checkpoints of their own from then on."""
         self._terms.update(terms)

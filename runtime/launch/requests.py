@@ -51,7 +51,6 @@ _SHOWN = {
 """What `ps` calls the states of processes; all others are those of one that runs."""
 
 LONGEST_S = 1e9
-MAX_PID = 1 << 22
 
 
 class Requests:
@@ -62,8 +61,8 @@ class Requests:
     asks, for the audit. With ``here`` the processes of new nodes are kept by who asks: the answer is ``{"request",
     "orders"}``, what they are to be started with, and ``{"ask": "await", "request"}`` is answered in the end.
     ``{"ask": "renew", "name", "process", "host"}`` is answered with ``{"secret"}``: a new certificate for one of these.
-    ``{"ask": "record", "pid"}`` says that a process, 0 for one on another machine, is about to record; the answer is
-    the fields of a `RunInfo`, and of an `Access`."""
+    ``{"ask": "record"}`` says that somebody is about to record; the answer is the fields of a `RunInfo`, and of an
+    `Access`."""
 
     def __init__(self, processes: RosterSupervisor, audit: Audit) -> None:
         self._processes = processes
@@ -112,9 +111,6 @@ class Requests:
         if ask == PS:
             return self._status()
         if ask == RECORD:
-            pid = query.get("pid")
-            if type(pid) is not int or not 0 <= pid < MAX_PID:
-                raise SchemaError(f"expected a process's number, got {shown(pid)}", "question.pid")
             orders = self._processes.orders
             orders.recorders.expect()
             return {**orders.info(from_start=False).plain(), "access": orders.access.plain()}

@@ -2,6 +2,7 @@
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -17,6 +18,7 @@ from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.pending_changes import PendingChanges
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
 from hierax.runtime.owner.effects import DETACH
+from hierax.runtime.recovery.disk import remove_kept
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.control import Census, Control, Dismiss, Lost, encode_control
 from hierax.schemas.roster import Roster
@@ -235,6 +237,7 @@ class RosterSupervisor(ProcessSupervisor):
         if child.dismissed:
             what = "its process exits" if child.code is None else "it leaves its process"
             self.notify(f"{name}: {what}: {child.dismissed}")
+            self._forget(child)
             await self.send_to_owner(Lost(name, child.token, False))
             return
         child.placeless = True
@@ -242,6 +245,15 @@ class RosterSupervisor(ProcessSupervisor):
         await anyio.sleep(2 * BEAT_S)  # it may have been taken in just now
         if child.placeless:
             await self._on_end_beside(child)
+
+    def _forget(self, child: Child) -> None:
+        """Remove what a process has kept that was dismissed, unless another one of its node goes on from there: a
+        launch may run for ever, and be changed any number of times."""
+        order = child.order
+        others = {each.order.checkpoint for each in self.children if each.state is not ProcessState.ENDED}
+        in_force = order.name in self.instances and self.orders.is_kept(order)
+        if not in_force and order.checkpoint not in others:
+            remove_kept(Path(order.checkpoint))
 
     async def _on_end_together(self, children: Sequence[Child]) -> None:
         """Nodes that were lost with one process come back in one; but those that have no place, or none yet."""

@@ -211,7 +211,7 @@ class Arrivals(OwnerPart):
         known = self._processes_of(name)
         in_force = members.processes.get(name)
         if self._is_awaited(name) and members.is_dead(process):  # it was cut off, and no supervisor here can kill it
-            why = f"{name}: it was cut off, and taken for lost in epoch {self.progress.epoch + 1}"
+            why = f"{name}: it was cut off, and taken for lost in epoch {self.progress.under_way}"
             self._effects.send_order(process, Dismiss(why, again=True))
         elif name in members.lost and (process not in known or process == in_force):
             members.end(name, process, "it was taken for lost")  # its supervisor starts it anew, from its checkpoint

@@ -38,6 +38,11 @@ class EpochProgress:
         self.over = False  # whether all are done with that
         self._skips = self.attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
 
+    @property
+    def under_way(self) -> int:
+        """The epoch that is under way, or comes next; at the end of the run, the last one."""
+        return self.epoch + (not self.last)
+
     def begin(self) -> None:
         self.running, self.held = not self.last, False
         self.attempt += 1
@@ -54,7 +59,7 @@ class EpochProgress:
 
     def tick(self) -> None:
         if (self.running or self.last) and not self.members.lost:
-            self.inquiry.tick(self.epoch + self.running, self.attempt)
+            self.inquiry.tick(self.under_way, self.attempt)
 
 
 class Answers:

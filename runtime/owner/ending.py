@@ -20,12 +20,14 @@ class Ending(OwnerPart):
         self._go_on()
 
     def hear(self, word: CaughtUp) -> None:
-        if self.progress.last and word.epoch == self.progress.epoch:
+        """A process says that it is done."""
+        progress, members = self.progress, self.members
+        if progress.last and word.epoch == progress.epoch and members.processes.get(word.name) == word.process:
             self._done.add(word.process)
-            if not (self.members.lost or self._behind()):
-                self.progress.over = True
+            progress.over = not (members.lost or self._behind())
 
     def tick(self) -> None:
+        """Time has passed."""
         if self.progress.last and self._clock() - self._asked_s >= ASK_AGAIN_S:
             self._go_on()
 

@@ -97,7 +97,7 @@ class Losses(OwnerPart):
                 planning.go_on()
             return
         if name not in members.lost:
-            self._effects.note(f"{name}: its process is lost in epoch {self.progress.epoch + 1}")
+            self._effects.note(f"{name}: its process is lost in epoch {self.progress.under_way}")
             members.lose(name)
             planning.redo()
         if not restarts:

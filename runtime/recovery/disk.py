@@ -3,6 +3,7 @@
 import mmap
 import os
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -105,6 +106,13 @@ def kept_at(path: Path, durability: Durability) -> MappedFile | None:
     """What a process has kept that has ended; None: it has kept nothing, and no file is made. Raises `CheckpointError`
     as `MappedFile` does."""
     return MappedFile(path, durability) if _beside(path, "0").exists() else None
+
+
+def remove_kept(path: Path) -> None:
+    """Remove what a process has kept, which nobody is to go on with; that is no matter where it cannot be removed."""
+    for ending in (*map(str, range(SLOTS)), "lock"):  # the lock last: by it others find the slots
+        with suppress(OSError):
+            _beside(path, ending).unlink()
 
 
 class _SlotFile:

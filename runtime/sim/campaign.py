@@ -19,7 +19,7 @@ from hierax.runtime.core.graph import check_graph
 from hierax.runtime.execution.report import Json
 from hierax.runtime.host.streams import started_deaf
 from hierax.runtime.sim.journal import KINDS, Tally
-from hierax.runtime.sim.rated import NOT_WITH_RATES, with_rates
+from hierax.runtime.sim.rated import NOT_WITH_RATES, ONLY_WITH_RATES, with_rates
 from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate
 from hierax.schemas.roster import Roster
@@ -75,9 +75,9 @@ class Summary:
         return {group: {kind: self.tally[group, kind] for kind in kinds} for group, kinds in KINDS.items()}
 
     def unreached(self, rated: bool = False) -> list[str]:
-        """The kinds that no seed has reached, but for those that cannot be where nodes have rates, if they have."""
+        """The kinds that no seed has reached, but for those that cannot be where nodes have rates, or have none."""
         counts = {(group, kind): count for group, kinds in self.kinds.items() for kind, count in kinds.items()}
-        left_out = NOT_WITH_RATES if rated else frozenset()
+        left_out = NOT_WITH_RATES if rated else ONLY_WITH_RATES
         return [" ".join(each) for each, count in counts.items() if not count and each not in left_out]
 
     def plain(self) -> dict[str, Json]:

@@ -13,7 +13,7 @@ from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.sim.checker import Checker, End
 from hierax.runtime.sim.inspection import Inspector, Turn
-from hierax.runtime.sim.journal import FAULT, VERDICT, WORD
+from hierax.runtime.sim.journal import FAULT, ORDER, VERDICT, WORD
 from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS, Scenario
 from hierax.schemas.messages import Header
 from hierax.schemas.rates import EVERY_EPOCH, Pair, Rates, Turns
@@ -28,6 +28,9 @@ NOT_WITH_RATES = frozenset(
     }
 )
 """What cannot occur: no node fails alone, and an epoch has one attempt."""
+
+ONLY_WITH_RATES = frozenset({(ORDER, "CatchUp"), (WORD, "CaughtUp")})
+"""What only occurs there: nodes may be behind a world that has finished."""
 
 
 def with_rates(scenario: Scenario) -> Scenario:

@@ -238,7 +238,7 @@ def _keys(root: str, tokens: dict[str, str]) -> list[str]:
 
 def _questions() -> list[tuple[str, str, bytes]]:
     detach = b"\x82\xa3ask\xa6change\xa6change\x93\xa6Detach\xa4high\xc2"
-    record = b"\x82\xa3ask\xa6record\xa3pid\x00"
+    record = b"\x81\xa3ask\xa6record"
     return [("ps", "launch", b"\x81\xa3ask\xa2ps"), ("detach", "changes", detach), ("record", "launch", record)]
 
 

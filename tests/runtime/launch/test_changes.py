@@ -51,6 +51,28 @@ def test_what_comes_too_early_for_a_replacement_is_a_line_in_its_log_and_none_on
     assert not [line for line in live.launch.err if "refused" in line]
 
 
+def test_what_goes_leaves_no_checkpoint_behind_and_what_stays_comes_back_from_its_own(tmp_path: Path) -> None:
+    def kept() -> list[str]:
+        return sorted(path.name.partition("@")[0] for path in state.iterdir() if path.suffix in (".0", ".1"))
+
+    state = tmp_path / "state"
+    live = Live(tmp_path, "--state", str(state), pace_s=0.01)
+    try:
+        top, other = live.snippet("top", "high"), live.snippet("high", generation=1)
+        schedule = []
+        for _ in range(2):
+            for change in (("replace", "high", other), ("attach", top), ("detach", "top")):
+                schedule.append(":".join([str(live.change(*change)), *change]))
+                live.goes_on()
+        each = sorted(f"{name}.{slot}" for name in ("world", "low") for slot in "01")
+        until(lambda: kept() == ["high", "high", *each], "no other checkpoints than those of the nodes that are there")
+        os.kill(live.run["nodes"]["high"]["pid"], signal.SIGKILL)
+        live.goes_on()
+        live.is_repeated_by(*schedule)
+    finally:
+        live.close()
+
+
 def test_a_world_by_itself_is_joined_and_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alone = DEPLOYMENT[: DEPLOYMENT.index("  low: ")]
     monkeypatch.setattr("support.live.DEPLOYMENT", alone)

@@ -101,7 +101,7 @@ QUESTIONS: list[object] = [
     {"look": "steps", "every": "9" * 5000},
     {"look": "echo", "edges": ((1, 2, 3),)},
     {"ask": {}},
-    {"ask": "record", "pid": "self"},
+    {"ask": ["record"]},
     {"ask": "change", "change": {}},
     {"ask": "change", "change": {"change": ["attach"]}},
 ]
