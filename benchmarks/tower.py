@@ -35,6 +35,7 @@ from hierax.nodes.tower.interferences import ACTS
 from hierax.nodes.tower.world import NONE
 
 ROOT = Path(__file__).resolve().parents[1]
+OF_NODES, OF_NO_NODE = ("picking", "tower", "tracking"), {"evaluation", "generator"}  # folders
 EVERY = "every"
 RUN, LAUNCH = "run", "launch"
 HEADS = (("scene", 5), ("done", 5), ("placed, mm", 11), ("moves", 6), ("least", 6), ("acts", 5), ("frames", 7))
@@ -119,8 +120,9 @@ def _key(command: str, set_to: dict[str, str]) -> str:
 
 
 def _sources() -> str:
-    """A digest of the nodes and of the deployment: figures of others are not those of these."""
-    files = [*sorted((ROOT / "nodes").rglob("*.py")), ROOT / "deploy" / "tower.yaml"]
+    """A digest of the deployment and of what its nodes are made of: figures of others are not those of these."""
+    nodes = [file for folder in OF_NODES for file in sorted((ROOT / "nodes" / folder).rglob("*.py"))]
+    files = [*(file for file in nodes if not OF_NO_NODE.intersection(file.parts)), ROOT / "deploy" / "tower.yaml"]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 

@@ -16,7 +16,7 @@ from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.evaluation.calibration import Calibration, calibration, judge
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
-from hierax.nodes.tracking.generator.kinds import IMPRECISE, KINDS
+from hierax.nodes.tracking.generator.kinds import CROWD, CROWDED, IMPRECISE, KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
@@ -40,8 +40,7 @@ WAYS = {
 CONTEXT, OWN = "with all", "own model"
 SEARCH = "start=search"
 STAGES = ("world", "arm", "spatial")  # nodes whose time is told; each with the edge functions that run in it
-SPEED_KIND = "scattered"
-SPEED_OBJECTS = (1, 5)
+SPEED_KINDS = {1: "scattered", 5: "scattered", CROWD: CROWDED}  # by how many objects of them
 Tell = Callable[[str], None]
 GENERATOR_B = Path("benchmarks/generator_b")  # in a checkout; no part of the package, and nothing is fitted to it
 _BELIEFS = "hierax.nodes.tracking.evaluation.calibration:Beliefs"
@@ -197,12 +196,12 @@ def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path,
     """Launch the deployment over Zenoh in turn, each node a process, on scenes of one object and of several, with
     frames that are read from disk ahead of time. Raises HieraxError: a process failed."""
     deployments = {}
-    for objects in SPEED_OBJECTS:
+    for objects, kind in SPEED_KINDS.items():
         told(f"drawing {frames} frames with {objects} objects")
-        scene = write_scene(folder / f"speed-{objects}", SPEED_KIND, 0, frames, False, objects)
+        scene = write_scene(folder / f"speed-{objects}", kind, 0, frames, False, objects)
         deployments[objects] = read_deployment(DEPLOYMENT, [f"scene={scene}", "table=true", *settings])
-    rates: dict[int, list[float]] = {objects: [] for objects in SPEED_OBJECTS}
-    for number, objects in product(range(rounds), SPEED_OBJECTS):
+    rates: dict[int, list[float]] = {objects: [] for objects in SPEED_KINDS}
+    for number, objects in product(range(rounds), SPEED_KINDS):
         told(f"{objects} objects, round {number + 1} of {rounds}")
         report = launch(deployments[objects], epochs=None, seed=0)
         rates[objects].append(report.epochs_per_s or 0.0)

@@ -24,6 +24,7 @@ IMPRECISE = "imprecise"  # the kind whose models lie beside the objects
 # Of the kind "taken": the first frame in which one is taken out, after how many the next one is, and for how many it is
 # away: so high over the table that it is behind the camera.
 _TAKEN_FROM, _TAKEN_EVERY, _TAKEN_FRAMES, _OUT_M = 40, 15, 20, 50.0
+CROWDED, CROWD = "crowded", 20  # the kind with so many objects
 _CANDIDATES = 40
 _FEW = 8  # of curved things, which take longer to be looked at
 _LOOKS = 6
@@ -74,6 +75,13 @@ def film(kind: str, seed: int, frames: int) -> Film:
 
 def _scattered(rng: np.random.Generator, frames: int) -> Film:
     return _still_life(rng, frames, lambda: stock.scattered(_items(rng), rng, 0.17, 0.02), _swing(rng, 40.0))
+
+
+def _crowded(rng: np.random.Generator, frames: int) -> Film:
+    """Twenty small boxes."""
+    paints = stock.colours(rng, CROWD)
+    items = [stock.small_box(rng, paint) for paint in paints]
+    return _still_life(rng, frames, lambda: stock.scattered(items, rng, 0.15, 0.006), _swing(rng, 48.0), tries=_FEW)
 
 
 def _hidden(rng: np.random.Generator, frames: int) -> Film:
@@ -276,6 +284,7 @@ def _wood(rng: np.random.Generator) -> Wood:
 # By name.
 KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "scattered": _scattered,
+    CROWDED: _crowded,
     "hidden": _hidden,
     "worn": _worn,
     "alike": _alike,

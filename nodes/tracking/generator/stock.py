@@ -66,6 +66,11 @@ def random_box(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
             return Item(box(size.tolist()), _UPRIGHT, colour)
 
 
+def small_box(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
+    """A box with sides of 22 to 45 mm, as many find room of."""
+    return Item(box(rng.uniform(0.022, 0.045, 3).tolist()), _UPRIGHT, colour)
+
+
 def flat_box(rng: np.random.Generator, colour: tuple[int, int, int], width_m: float) -> Item:
     """A box for a tower: about so wide, and 30 to 50 mm high."""
     return Item(box((width_m, width_m * rng.uniform(0.75, 0.92), rng.uniform(0.03, 0.05))), _UPRIGHT, colour)
