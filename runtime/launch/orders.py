@@ -96,7 +96,7 @@ class Orders:
         is_world = name == deployment.roster.world
         terms = terms or self.terms(name)
         doors = self._doors.get(shares or name, NO_DOORS) if life == BEGIN else NO_DOORS
-        lineage = f"{name}@{request}" if request else self._lineages.get(name, name)
+        lineage = f"{name}@{request}" if request else self._lineage(name)
         return NodeOrder(
             name=name,
             process=token,
@@ -167,7 +167,7 @@ class Orders:
     def _world_record(self) -> WorldRecord | None:
         """What the world has recorded; None: nothing, so that the run has not begun."""
         world = self.deployment.roster.world
-        storage = kept_at(self.options.state / self._lineages.get(world, world), self.deployment.durability)
+        storage = kept_at(self.options.state / self._lineage(world), self.deployment.durability)
         if storage is None:
             return None
         with storage:
@@ -209,7 +209,11 @@ class Orders:
 
     def is_kept(self, order: NodeOrder) -> bool:
         """Whether the next process of a node in force would go on with the checkpoint of an order."""
-        return Path(order.checkpoint).name == self._lineages.get(order.name, order.name)
+        return Path(order.checkpoint).name == self._lineage(order.name)
+
+    def _lineage(self, name: str) -> str:
+        """What the checkpoint of a node in force is called."""
+        return self._lineages.get(name, name)
 
     def adopt(self, request: str, terms: Mapping[str, ProcessTerms]) -> None:
         """A change is in force: its new nodes, whose terms these are, have checkpoints of their own from then on."""

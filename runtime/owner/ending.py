@@ -24,12 +24,15 @@ class Ending(OwnerPart):
         progress, members = self.progress, self.members
         if progress.last and word.epoch == progress.epoch and members.processes.get(word.name) == word.process:
             self._done.add(word.process)
-            progress.over = not (members.lost or self._behind())
+            self._look()
 
     def tick(self) -> None:
         """Time has passed."""
         if self.progress.last and self._clock() - self._asked_s >= ASK_AGAIN_S:
             self._go_on()
+
+    def _look(self) -> None:
+        self.progress.over = not (self.members.lost or self._behind())
 
     def _behind(self) -> list[tuple[str, str]]:
         """The nodes that are not known to be done, and their processes."""
@@ -39,8 +42,7 @@ class Ending(OwnerPart):
 
     def _go_on(self) -> None:
         self._asked_s = self._clock()
-        behind = self._behind()
-        for name, process in behind:
+        for name, process in self._behind():
             if name not in self.members.lost:
                 self._effects.send_order(process, CatchUp(self.progress.epoch))
-        self.progress.over = not (behind or self.members.lost)
+        self._look()
