@@ -12,6 +12,7 @@ from hierax.schemas.messages import Header, Message, decode_message, encode_mess
 Lane = tuple[str, str]  # sender and kind: what of one receiver's messages stays in order
 Drawn = TypeVar("Drawn")
 QUEUE_SIZE = 1024  # how many messages a lane holds at most
+NEW, OF_ALL = 16, 1 / 16  # how many that came last are preferred to others; and how often they are not
 
 
 class TransportError(HieraxError):
@@ -103,6 +104,13 @@ class DrawnSet(Generic[Drawn]):
         count = len(self._all)
         return self._all[0] if count == 1 else self._all[int(count * self._random.random())]
 
+    def draw_new(self) -> Drawn:
+        """As `draw`; of more than `NEW` mostly one of those that came last."""
+        count = len(self._all)
+        if count <= NEW or self._random.random() < OF_ALL:
+            return self.draw()
+        return self._all[count - NEW + int(NEW * self._random.random())]
+
     def add(self, one: Drawn) -> None:
         if one not in self._places:
             self._places[one] = len(self._all)
@@ -138,8 +146,11 @@ class MemoryNetwork:
         return port
 
     def next_receiver(self) -> str | None:
-        """A node that has a message to receive, by the seed; None where nothing is under way."""
-        return self.waiting.draw() if self.waiting else None
+        """A node that has a message to receive, by the seed; None where nothing is under way.
+
+        Among many mostly one that was sent something just now: what it works on is next to what was worked on last, and
+        the processor's caches still hold some of it."""
+        return self.waiting.draw_new() if self.waiting else None
 
     def lets_go_on(self) -> bool:
         """Whether a node that waits for nobody has its turn, by the seed: the more is under way, the more seldom."""

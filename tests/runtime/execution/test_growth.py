@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from random import Random
 from types import FrameType
 from typing import Any
 
@@ -16,7 +17,7 @@ from hierax.runtime.execution.single import SingleRun
 from hierax.runtime.loading.allowance import ANYTHING
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.scripting.hierarchy import Hierarchy
-from hierax.runtime.transport.port import MemoryNetwork
+from hierax.runtime.transport.port import NEW, DrawnSet, MemoryNetwork
 from hierax.schemas.messages import OBSERVATIONS, Header, Message
 
 FEW, MANY = 20, 160
@@ -126,6 +127,32 @@ def test_a_delivery_compares_no_names() -> None:
         received += ports[name].receive() is not None
     assert received == 500
     assert Compared.count == 0
+
+
+def test_among_many_mostly_those_that_came_last_have_their_turn() -> None:
+    """A node of a tree has its next turn soon, where it has one in the epoch: caches still hold what it works on."""
+    turns: list[str] = []
+    run = SingleRun(described("tree", 4 * MANY).deployment(), epochs=None, seed=1, turn=turns.append).epochs()
+    epochs(run)
+    last: dict[str, int] = {}
+    soon = 0
+    for place, name in enumerate(turns):
+        soon += place - last.get(name, -MANY) < MANY / 2
+        last[name] = place
+    assert soon > len(turns) / 4, "an order in which all are as likely has 0.17; all that could come soon are 0.44"
+
+
+def test_who_has_waited_longest_has_its_turn_though_others_keep_coming() -> None:
+    waiting: DrawnSet[int] = DrawnSet(Random(5))
+    for one in range(10 * NEW):
+        waiting.add(one)
+    old = set(range(NEW))
+    for later in range(10 * NEW, 1000 * NEW):
+        drawn = waiting.draw_new()
+        waiting.discard(drawn)
+        old.discard(drawn)
+        waiting.add(later)
+    assert not old
 
 
 def test_the_order_is_that_of_the_seed() -> None:
