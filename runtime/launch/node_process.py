@@ -36,6 +36,7 @@ from hierax.runtime.launch.frames import (
     NodeOrder,
     next_frames,
 )
+from hierax.runtime.launch.hang_watch import watch_for_hangs
 from hierax.runtime.launch.kept_elsewhere import ToldRecords
 from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.launch.process_home import ProcessHome
@@ -104,6 +105,7 @@ async def _main(orders: int, status: int, console: Console) -> int:
     for order in nodes:
         copy_context().run(_say_hello, order)
     process = _Process(workers, home)
+    watch_for_hangs(name, lambda: not all(worker.active for worker in list(workers.values())))
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(process.obey, orders, frames, commands)
         tasks.start_soon(process.obey_signals)

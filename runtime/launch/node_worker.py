@@ -114,6 +114,11 @@ class NodeWorker:
         engine = None if self._member is None else self._member.engine
         return (0, 0) if engine is None else (engine.epoch, engine.attempt)
 
+    @property
+    def active(self) -> bool:
+        """Whether the node has taken part in an epoch."""
+        return self._member is not None and self._member.active
+
     def stop(self, last: int | None = None, roster: Value = None) -> None:
         """Make the node's thread come to its end, after the run's last epoch, where that is known. With the last
         roster it reports even where nobody has taken it in."""

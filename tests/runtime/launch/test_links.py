@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.device_nodes import DEVICE, MOVES_S
-from support.hanging_nodes import HUNG
+from support.hanging_nodes import GREETS, HUNG
 from support.launched import Launched, processes_of, run_here, until
 from support.live import DEPLOYMENT, MIXING
 from support.sweep import examples
@@ -86,14 +86,15 @@ def test_processes_may_be_killed_in_their_first_instants(
     assert sorted(set(map(int, log.read_text().split()))) == list(range(1, OUTLIVING + 1))
 
 
-def test_a_process_in_which_zenoh_hangs_as_it_opens_ends_itself_and_another_one_comes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("hung", ["opens", GREETS])
+def test_a_process_in_which_zenoh_hangs_before_it_has_a_part_ends_itself_and_another_one_comes(
+    hung: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "hanging.yaml"
     text = DEPLOYMENT.format(stop=tmp_path / "stop").replace(f"{MIXING}:Mixer", "support.hanging_nodes:Hanging")
     file.write_text(text, encoding="utf-8")
     wanted = run_here(str(file), "--epochs", str(OUTLIVING))["digest"]
-    monkeypatch.setenv(HUNG, str(tmp_path / "hung"))
+    monkeypatch.setenv(HUNG, str(tmp_path / hung))
     with Launched(tmp_path, str(file), "--epochs", str(OUTLIVING)) as launch:
         launch.end()
         assert launch.process.returncode == 0, launch.err
