@@ -115,7 +115,6 @@ class NodeOrder:
     owner: OwnerPolicy | None = None  # of the world's process: what the deployment says on recovery
     on_uncertain_act: OnUncertainAct = "repeat"  # of the world's process
     processes: Mapping[str, str] = field(default_factory=dict)  # of the world's: those of other nodes that live
-    proposals: tuple[bytes, ...] = ()  # of the world's process that comes back: control messages for the owner
     alone: tuple[str, ...] = ()  # the nodes of `roster` that fail alone
     recorded: bool = False  # whether somebody records the run, who has to hear the process from its first message on
     slots: tuple[bytes, ...] | None = None

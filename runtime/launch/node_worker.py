@@ -54,7 +54,7 @@ from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget
 from hierax.runtime.watch.logs import NODE, QUIET
 from hierax.runtime.watch.overruns import Overruns
-from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
+from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Roster
@@ -395,8 +395,6 @@ class NodeWorker:
             pacemaker.on_commit(last.epoch, last.digest)
         world.start()
         if order.life != frames.BEGIN:
-            for proposal in order.proposals:
-                world.hear(decode_control(proposal))
             self.pipe.say(frames.UP)
         self._member = world.member
         return world.member

@@ -174,9 +174,7 @@ class Orders:
             slots = Slots(storage)
             return read_record(slots)[0] if has_record(slots) else None
 
-    def again(
-        self, order: NodeOrder, token: str, processes: Mapping[str, str], proposals: Iterable[bytes]
-    ) -> NodeOrder:
+    def again(self, order: NodeOrder, token: str, processes: Mapping[str, str]) -> NodeOrder:
         """The order of the process that comes in the place of another."""
         is_world = order.owner is not None
         return self.anew(
@@ -187,7 +185,6 @@ class Orders:
             roster=None,
             owner=self._owner_policy() if is_world else None,
             processes=dict(processes),
-            proposals=tuple(proposals) if is_world else (),
         )
 
     def anew(self, order: NodeOrder, token: str, **changes: Any) -> NodeOrder:

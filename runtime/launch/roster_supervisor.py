@@ -281,7 +281,7 @@ class RosterSupervisor(ProcessSupervisor):
         self.notify(f"{child.last_words}; it is started again")
         await anyio.sleep(delay_s)
         if not self.ending:
-            again = self.orders.again(child.order, frames.new_process(child.name), {}, ())
+            again = self.orders.again(child.order, frames.new_process(child.name), {})
             # the process that it has shared may come back too, with its door
             await super().start_together([replace(again, shares="", door="", doors=())])
 
@@ -365,8 +365,7 @@ class RosterSupervisor(ProcessSupervisor):
             await self._send_deaths(living)
 
     async def _propose_to(self, children: Sequence[Child]) -> None:
-        """Tell a new process of the world's, if it is among these, what is asked for: what came after its order was
-        written has reached nobody. What it is told twice it makes once."""
+        """Tell a new process of the world's, if it is among these, what is asked for."""
         for child in children:
             for proposal in self.changes.proposals if child.name == self._world else ():
                 await child.send(proposal)
@@ -374,7 +373,7 @@ class RosterSupervisor(ProcessSupervisor):
     def _order_again(self, child: Child, token: str, living: Mapping[str, str]) -> frames.NodeOrder:
         name = child.name
         if self._last_roster is None or name == self._world:
-            return self.orders.again(child.order, token, living, self.changes.proposals)
+            return self.orders.again(child.order, token, living)
         # nothing is left to do but to report
         self.members = {**self.members, name: token}
         return replace(child.order, process=token, life=frames.TO_REPORT, request="", roster=self._last_roster)
@@ -429,7 +428,7 @@ class RosterSupervisor(ProcessSupervisor):
         await self.send_to_owner(Lost(name, token, True))
 
     async def send_to_owner(self, word: Control) -> None:
-        """Send the owner a word; what a process that has ended did not take in, the next one has in its order."""
+        """Send the owner a word; what a process that has ended did not take in, the next one is told, or finds out."""
         if self._runs(self._world):
             await self.current[self._world].send(encode_control(word))
 

@@ -61,7 +61,6 @@ def test_an_order_comes_out_as_it_went_in() -> None:
         owner=OwnerPolicy(("m",), {"n": "stop"}, {"n": 2.0}, 3.0),
         on_uncertain_act="skip",
         processes={"w": "p0"},
-        proposals=(b"1",),
     )
     (came,) = Frames().feed(frame(order.plain()))
     assert NodeOrder.read(came) == order

@@ -48,7 +48,6 @@ ORDER: dict[str, Any] = {
     "owner": None,
     "on_uncertain_act": "repeat",
     "processes": {},
-    "proposals": [],
     "fault": "commit:1",
     "recorded": False,
 }
@@ -59,7 +58,7 @@ def test_what_touches_this_machine_is_decided_here(tmp_path: Path) -> None:
     assert (order.modules, order.preload, order.import_paths) == ((MIXING,), (MIXING,), ("/mine",))
     assert (order.hub, order.host, order.settings) == ("tcp/10.0.0.1:7000", "10.0.0.2", None)
     assert order.checkpoint == str(tmp_path / "top")
-    assert (order.output, order.probes, order.owner, order.proposals) == ("", (), None, ())
+    assert (order.output, order.probes, order.owner) == ("", (), None)
     assert (order.budget_ms, order.period_ms, order.rated) == (None, 10.0, True)
     assert (order.process, order.run, order.seed, order.request, order.life) == ("5f", "5163af85", 3, "c4", "newcomer")
 
