@@ -1,6 +1,7 @@
 """Units of systemd's for a user's own services: the launch, and a timer that asks for its health."""
 
 import re
+from pathlib import Path
 
 from hierax.runtime.tools.services import ANSWER_S, STOP_S, Service, Written, executable, head
 
@@ -23,7 +24,8 @@ def units(service: Service) -> list[Written]:
 def _launch(service: Service) -> str:
     name, deployment = service.name, service.deployment
     file = deployment.path.stem if service.is_shipped else str(deployment.path.resolve())
-    folder = f"%S/{name}" if service.is_shipped else _escaped(str(deployment.path.resolve().parent))
+    is_own = service.settings or not service.is_shipped  # then relative paths mean what they did as they were accepted
+    folder = _escaped(str(Path.cwd())) if is_own else f"%S/{name}"
     limit = f"LimitRTPRIO={service.priority}\n" if service.priority else ""
     command = _command(service.launch(file, "STATE")).replace(" STATE/", f" %S/{name}/")
     # what raises would raise again: it is tried some times, what was killed goes on

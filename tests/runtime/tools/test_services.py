@@ -74,6 +74,16 @@ def test_systemd_takes_the_units(service: Service, tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_units_work_where_they_were_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parameters name files relative to where a command runs, and were accepted there."""
+    (here := tmp_path / "50 % here").mkdir()
+    monkeypatch.chdir(here)
+    where = f"WorkingDirectory={tmp_path}/50 %% here\n"
+    for service in (own(tmp_path), Service(read_deployment("servo"), ("noise=0.2",))):
+        assert where in units(service)[0].text
+    assert "WorkingDirectory=%S/hierax-servo\n" in units(Service(read_deployment("servo")))[0].text
+
+
 def test_compose_takes_the_file(service: Service) -> None:
     spec = pytest.importorskip("compose_spec")
     assert spec.PyCompose.from_yaml(compose(service)[0].text).service_names() == [service.name]
