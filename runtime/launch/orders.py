@@ -24,7 +24,7 @@ from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import kept_at
 from hierax.runtime.recovery.slots import Slots
 from hierax.schemas.access import READER, Access
-from hierax.schemas.checkpoint import WorldRecord, decode_processes, decode_roster
+from hierax.schemas.checkpoint import WorldRecord, decode_processes, decode_roster, decode_trial
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Reference, Roster
 
@@ -74,7 +74,9 @@ class Orders:
         self.resumed_after = 0  # the last epoch that was committed before the run was resumed
         self.recorders = Recorders()  # those who record the run, wherever they are
         self.resumes = resumed is not None  # whether the run goes on with one that was written down
+        self.left: tuple[str, str] | None = None  # the node and process that waited, as the run was left, for a trial's end
         self._terms = dict(deployment.terms)
+        self._coming: Mapping[str, Mapping[str, ProcessTerms]] = {}
         self._lineages: dict[str, str] = {}
         if resumed is not None:
             self._take_up(resumed)
@@ -96,7 +98,7 @@ class Orders:
         is_world = name == deployment.roster.world
         terms = terms or self.terms(name)
         doors = self._doors.get(shares or name, NO_DOORS) if life == BEGIN else NO_DOORS
-        lineage = f"{name}@{request}" if request else self._lineage(name)
+        lineage = _lineage_of(name, request) if request else self._lineage(name)
         return NodeOrder(
             name=name,
             process=token,
@@ -216,31 +218,46 @@ class Orders:
         """A change is in force: its new nodes, whose terms these are, have checkpoints of their own from then on."""
         self._terms.update(terms)
         for name in terms:
-            self._lineages[name] = f"{name}@{request}"
+            self._lineages[name] = _lineage_of(name, request)
 
     def outdate(self) -> None:
         """Have nobody go on with the run by what was written down last: it is no longer so."""
         outdate_run(self.options.state)
 
-    def save(self) -> None:
-        """Write down, beside the checkpoints, what it takes to go on with the run."""
+    def save(self, coming: Mapping[str, Mapping[str, ProcessTerms]] | None = None) -> None:
+        """Write down, beside the checkpoints, what it takes to go on with the run. `coming`: the terms of new nodes, by
+        change that was not answered yet; the world may have recorded it before its answer is here."""
+        self._coming = self._coming if coming is None else coming
         run = Run(
             deployment=str(self.deployment.path.resolve()),
             settings=self.overrides,
             seed=self.options.seed,
             epochs=self.options.epochs,
             output="" if self.options.output is None else str(self.options.output.absolute()),
-            lineages=self._lineages,
-            terms={name: vars(each) for name, each in self._terms.items()},
+            terms=_plain(self._terms),
+            coming={request: _plain(terms) for request, terms in self._coming.items()},
         )
         write_run(self.options.state, run)
 
     def _take_up(self, run: Run) -> None:
-        self._lineages = dict(run.lineages)
         try:
-            self._terms = {name: ProcessTerms(**fields) for name, fields in run.terms.items()}
-        except TypeError as error:
+            self._terms = _read_terms(run.terms)
+            self._coming = {request: _read_terms(terms) for request, terms in run.coming.items()}
+        except (TypeError, AttributeError) as error:
             raise HieraxError(f"{self.options.state}: its restarts are not of this version: {error}") from error
+
+    def _go_on_from(self, record: WorldRecord) -> None:
+        """Know what processes go on from, by the world's record: a change that is there was made, whether or not the
+        launch lived to hear of it."""
+        for name, (_, _, _, request) in decode_processes(record.processes).items():
+            if request != os.path.basename(request):
+                what = f"expected the identification of the change with which {name} came, got {request!r:.40}"
+                raise HieraxError(f"{self.options.state}: the world's record: {what}")
+            if request:
+                known = self._coming.get(request, {})
+                self.adopt(request, {name: known.get(name, self.terms(name))})
+        trial = decode_trial(record.trial)
+        self.left = None if trial is None else (trial[0], trial[2][0])
 
     def roster(self) -> Roster:
         """The roster with which the run begins, or goes on. Raises `HieraxError` if it cannot go on, or may not."""
@@ -255,6 +272,7 @@ class Orders:
             raise OverError(f"{self.over}; a greater number of --epochs goes on")
         recorded = decode_roster(record.roster)
         self.deployment.allowance.check_all(recorded)
+        self._go_on_from(record)
         return recorded
 
     @property
@@ -280,6 +298,19 @@ class Orders:
             rated=deployment.roster.rates is not None,
             overlaps=deployment.overlaps,
         )
+
+
+def _lineage_of(name: str, request: str) -> str:
+    """What the checkpoint of a node is called that came with a change."""
+    return f"{name}@{request}"
+
+
+def _plain(terms: Mapping[str, ProcessTerms]) -> dict[str, dict[str, Any]]:
+    return {name: vars(each) for name, each in terms.items()}
+
+
+def _read_terms(terms: Mapping[str, Mapping[str, Any]]) -> dict[str, ProcessTerms]:
+    return {name: ProcessTerms(**fields) for name, fields in terms.items()}
 
 
 def together(deployment: Deployment, names: Iterable[str]) -> dict[str, list[str]]:

@@ -38,6 +38,11 @@ class PendingChanges:
     def proposals(self) -> Sequence[bytes]:
         return [change.proposal for change in self.unanswered]
 
+    @property
+    def coming(self) -> Mapping[str, Mapping[str, ProcessTerms]]:
+        """The terms of the new nodes of those that were not answered yet."""
+        return {request: change.terms for request, change in self._changes.items() if not change.done.is_set()}
+
     def add(
         self,
         proposal: Propose,

@@ -194,6 +194,7 @@ class Requests:
             )
             for name, reference in new_nodes(change).items()
         ]
+        processes.save()
         await processes.send_to_owner(proposal)  # first: who comes for what nobody has asked for is turned away
         if here:
             orders = [processes.orders.elsewhere(order, host) for order in orders]

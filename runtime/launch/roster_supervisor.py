@@ -138,7 +138,7 @@ class RosterSupervisor(ProcessSupervisor):
             self._beat.set()
             self._beat = anyio.Event()
             if not self._is_saved:
-                self._save()
+                self.save()
         elif status == frames.FINISHED:
             self.epoch = value["epoch"]
             self._last_roster = Roster.read(value["roster"])
@@ -191,14 +191,14 @@ class RosterSupervisor(ProcessSupervisor):
         if terms is not None and not refusal:
             self.orders.adopt(request, terms)
             self._restarts.update({name: Restarts(each) for name, each in terms.items()})
-            self._save()
+            self.save()
 
-    def _save(self) -> None:
+    def save(self) -> None:
         """Write down what it takes to go on with the run; where that cannot be, the run does without, and it is tried
         again with each beat."""
         was_saved = self._is_saved
         try:
-            self.orders.save()
+            self.orders.save(self.changes.coming)
             self._is_saved = True
         except HieraxError as error:
             self._is_saved = False
@@ -384,10 +384,16 @@ class RosterSupervisor(ProcessSupervisor):
             child = self.child(process)
             if child is not None and not child.alive:
                 await self.send_to_owner(Lost(child.name, process, True))
+        await self.tell_left()
         for name, token in self.members.items():
             is_there = self._runs(name) or self.state(token) is ProcessState.ELSEWHERE
             if name != self._world and not self._comes_back(name) and not is_there:
                 await self.send_to_owner(Lost(name, "", False))
+
+    async def tell_left(self) -> None:
+        """Tell the owner of a run that was resumed that what was replaced in the epoch under way does not come back."""
+        if self.orders.left is not None:
+            await self.send_to_owner(Lost(*self.orders.left, False))
 
     def _runs(self, name: str) -> bool:
         """Whether the last process of a node that was started here lives."""

@@ -32,7 +32,7 @@ _OUTDATED = "run.json.outdated"  # the last one, where a change has come into fo
 _LOCK = "_run.lock"  # in the same folder, held as long as a launch runs; no node can be called so
 _KEY = ".key"
 _ALIVE = ".lock"
-_KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "lineages": dict, "terms": dict}
+_KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "terms": dict, "coming": dict}
 _TEMPORARY = Path("/tmp")
 _PROBE = ".probe"  # written to see that it can be
 _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
@@ -47,8 +47,8 @@ class Run:
     seed: int  # of the run
     epochs: int | None  # how many; None: until the world has finished
     output: str  # folder; empty: none
-    lineages: Mapping[str, str]  # by node that was attached or replaced, the name of its checkpoint
     terms: Mapping[str, Mapping[str, Any]]  # by node, the fields of its `ProcessTerms`
+    coming: Mapping[str, Mapping[str, Mapping[str, Any]]]  # by change that was not answered yet, those of its new nodes
 
 
 @dataclass(frozen=True)
@@ -263,8 +263,6 @@ def _run(content: Any) -> Run:
     for name, kind in _KINDS.items():
         if not isinstance(getattr(run, name), kind):
             raise TypeError(f"{name}: expected a {kind.__name__}, got {getattr(run, name)!r:.40}")
-    if not all(isinstance(name, str) and name == os.path.basename(name) for name in run.lineages.values()):
-        raise TypeError(f"lineages: expected names of files, got {run.lineages!r:.80}")
     if run.epochs is not None and not isinstance(run.epochs, int):
         raise TypeError(f"epochs: expected a number, got {run.epochs!r:.40}")
     return run

@@ -289,6 +289,7 @@ class Supervisor:
                 self._break(error)
             if self._broken.is_set():
                 return
+        await self._processes.tell_left()
         self._are_started = True
 
     async def _until_finished(self, begun_s: float) -> None:

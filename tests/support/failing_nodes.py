@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+from pathlib import Path
 
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 from hierax.runtime.sim.nodes import Mix, Mixer
@@ -56,6 +58,27 @@ class Killing(Failing):
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         os.kill(self._pid, signal.SIGKILL)
         return super().observe(observations, belief, tick)
+
+
+class Waiting(Mixer):
+    """Waits in its first observation until there is a file, beside one that says that it waits.
+
+    Args:
+        name: as `Mixer` has it.
+        until: path of the file; what is in it is what is raised, if anything is.
+    """
+
+    def __init__(self, name: str, until: str) -> None:
+        super().__init__(name)
+        self._until = Path(until)
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        self._until.with_suffix(".waits").touch()
+        while not self._until.exists():
+            threading.Event().wait(0.01)
+        if raised := self._until.read_text(encoding="utf-8"):
+            raise RuntimeError(raised)
+        return super().observe(observations, belief)
 
 
 class FailingMix(Mix):

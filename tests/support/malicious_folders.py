@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.host.run_secret import key_text, new_secret
 from hierax.runtime.launch.orders import LaunchOptions, Orders
-from hierax.runtime.launch.run_file import read_run, write_run
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.schemas.checkpoint import WorldRecord, encode_world
@@ -43,11 +41,6 @@ def _edited(**fields: Any) -> Callable[[Place, Path], object]:
         return path.write_text(json.dumps({**json.loads(path.read_text()), **fields}))
 
     return spoil
-
-
-def _sealed(**fields: Any) -> Callable[[Place, Path], object]:
-    """As this user would have written it."""
-    return lambda place, state: write_run(state, replace(read_run(state), **fields))
 
 
 def _record(data: Callable[[Place], bytes]) -> Callable[[Place, Path], object]:
@@ -88,6 +81,8 @@ def _huge(place: Place, state: Path) -> None:
         file.truncate(2 << 30)
 
 
+UPWARDS = encode_value({"left": ("token", 0, 1, "../../precious")})
+
 FOLDERS = {
     "whose deployment is theirs": Attack(_resumed(_edited(deployment="/tmp/theirs.yaml")), NOT_OURS),
     "with settings that name code": Attack(_resumed(_edited(settings=["nodes.left.class=os:system"])), NOT_OURS),
@@ -95,7 +90,9 @@ FOLDERS = {
     "with a seal that is a list": Attack(_resumed(_edited(seal=[])), NOT_OURS),
     "with nested JSON": Attack(_resumed(lambda _, state: (state / "run.json").write_text("[" * 100_000)), "expected"),
     "with 20 MB of JSON": Attack(_resumed(lambda _, state: (state / "run.json").write_bytes(b" " * (20 << 20))), ""),
-    "whose checkpoints are called ../..": Attack(_resumed(_sealed(lineages={"left": "../../precious"})), "lineages"),
+    "whose checkpoints are called ../..": Attack(
+        _resumed(_record(lambda place: _world(place, lambda record: record._replace(processes=UPWARDS)))),
+        "expected the identification of the change"),
     "that is a link (run.json)": Attack(_resumed(_link("run.json", "link")), "symbolic link"),
     "with a pipe in place of run.json": Attack(_resumed(_link("run.json", "pipe")), "no regular file"),
     "with a link in place of a checkpoint": Attack(_resumed(_link("world.0", "link")), "symbolic link"),

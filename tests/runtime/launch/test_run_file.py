@@ -133,7 +133,7 @@ def damage(**fields: object) -> Callable[[Path], None]:
         (damage(extra=1), "unexpected keyword argument 'extra'"),
         (damage(seed="three"), "seed: expected a int, got 'three'"),
         (damage(settings="noise=1"), "settings: expected a list"),
-        (damage(lineages={"arm": "../../etc/passwd"}), "lineages: expected names of files"),
+        (damage(coming=["arm"]), "coming: expected a dict"),
         (damage(epochs="ten"), "epochs: expected a number"),
     ],
 )

@@ -170,7 +170,7 @@ def test_a_folder_that_was_edited_is_refused_without_trust(tmp_path: Path, capsy
     path = state / "run.json"
     written = json.loads(path.read_text())
     edits = {"deployment": str(tmp_path / "theirs.yaml"), "settings": ["nodes.left.class=subprocess:run"], "seed": 4}
-    for field, value in {**edits, "lineages": {"world": "other"}, "seal": "0" * 64}.items():
+    for field, value in {**edits, "seal": "0" * 64}.items():
         path.write_text(json.dumps({**written, field: value}))
         assert main(["launch", "--resume", str(state)]) == 1
         out, err = capsys.readouterr()
