@@ -3,6 +3,7 @@
     roster.msgpack        the roster's content, encoded; the supervisor or `run`
     digests.msgpack       stream of [epoch, digest]; the world's process
     states/NAME.msgpack   stream of [epoch, attempt, state, digest]; each node's process
+    states/.NAME.whole    up to where that is known to be whole, once it is long; likewise
     summary.json          the report; the command
 
 and whatever the deployment's probes write."""
@@ -31,6 +32,9 @@ ROSTER = "roster.msgpack"
 DIGESTS = "digests.msgpack"
 STATES = "states"
 SUMMARY = "summary.json"
+MARKED_BYTES = 64 << 20  # after so many it is marked up to where a log is whole: more is not read where one goes on
+END_BYTES = 32  # of what stands before a mark, beside which it is a mark of another file: a digest, mostly
+MARK = ".whole"
 REPLACED = ".replaced"  # the folder of what another run has left there, until the one in its place has done an epoch
 
 
@@ -62,11 +66,13 @@ class Log:
             self._file: BinaryIO = os.fdopen(open_result(path, append), "ab" if append else "wb")
             if not append:
                 self._file.truncate(0)
+                _mark_of(path).unlink(missing_ok=True)
+        self._unmarked = 0
         # Go on behind what is there, but for an entry that was cut off; this is looked at when something is written, as
         # until then another process may still be writing. What is whole now is read now, before an epoch waits for it.
         self._behind = append
         with errors_named(self._path):
-            self._whole = _whole_bytes(path) if append else 0
+            self._whole = _whole_bytes(path, _marked_bytes(path)) if append else 0
 
     def write(self, *fields: int | bytes) -> None:
         try:  # entering a context would take longer, and this runs in every epoch
@@ -74,9 +80,20 @@ class Log:
                 self._behind = False
                 os.truncate(self._path, _whole_bytes(self._path, self._whole))
             self._file.write(msgpack.packb(fields))
+            self._unmarked += sum(len(field) for field in fields if isinstance(field, bytes))
+            if self._unmarked > MARKED_BYTES:
+                self._mark()
         except OSError:
             with errors_named(self._path):
                 raise
+
+    def _mark(self) -> None:
+        self._unmarked = 0
+        self._file.flush()
+        with self._path.open("rb") as file:
+            whole = file.seek(0, os.SEEK_END)
+            file.seek(max(whole - END_BYTES, 0))
+            write_result(_mark_of(self._path), msgpack.packb((whole, file.read(END_BYTES))))
 
     def flush(self) -> None:
         """Give what is buffered to the system: then it outlives the process."""
@@ -86,6 +103,21 @@ class Log:
     def close(self) -> None:
         with errors_named(self._path):
             self._file.close()
+
+
+def _mark_of(path: Path) -> Path:
+    return path.with_name(f".{path.stem}{MARK}")
+
+
+def _marked_bytes(path: Path) -> int:
+    """Up to where a log is known to hold whole arrays; 0 where nobody has marked that, in this file."""
+    try:
+        whole, end = msgpack.unpackb(_mark_of(path).read_bytes())
+        with path.open("rb") as file:
+            file.seek(whole - len(end))
+            return int(whole) if end and file.read(len(end)) == end else 0
+    except (OSError, ValueError, TypeError, msgpack.UnpackException):
+        return 0
 
 
 def _whole_bytes(path: Path, known: int = 0) -> int:
@@ -159,7 +191,7 @@ def _settle(output: Path) -> None:
     aside, roster = output / REPLACED, output / ROSTER
     if not _has_epoch(output):
         with errors_named(output, kind=OutputError):
-            for path in (output / DIGESTS, *(output / STATES).glob("*.msgpack")):
+            for path in (output / DIGESTS, *(output / STATES).glob("*.msgpack"), *(output / STATES).glob(f".*{MARK}")):
                 path.unlink(missing_ok=True)
             write_result(roster, (aside / ROSTER).read_bytes() if (aside / ROSTER).exists() else b"")
             for path in _of_a_run(aside):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import msgpack
 import pytest
 
+from hierax.runtime.execution import output_folder
 from hierax.runtime.execution.output_folder import (
     DIGESTS,
     ROSTER,
@@ -15,6 +17,7 @@ from hierax.runtime.execution.output_folder import (
     Log,
     OutputError,
     claimed_output,
+    state_log,
 )
 from hierax.runtime.host.private_files import HeldError, UnsafeFileError
 
@@ -153,3 +156,43 @@ def test_a_log_that_has_become_shorter_meanwhile_is_read_anew(tmp_path: Path) ->
     log.write(2, bytes(100))
     log.close()
     assert path.read_bytes() == first + second
+
+
+def test_of_a_long_log_only_the_end_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(output_folder, "MARKED_BYTES", 1000)
+    log = state_log(tmp_path, "arm")
+    assert log is not None
+    for epoch in range(1, 30):
+        log.write(epoch, 0, bytes(90), bytes([epoch] * 32))
+    log.close()
+    whole = (tmp_path / "states" / "arm.msgpack").stat().st_size
+    assert 0 < output_folder._marked_bytes(tmp_path / "states" / "arm.msgpack") < whole
+    with (tmp_path / "states" / "arm.msgpack").open("r+b") as file:
+        file.write(b"\xc1" * 100)  # no msgpack: nothing before the mark would be found whole
+        file.seek(0, os.SEEK_END)
+        file.write(b"\x94\x1e")
+    log = state_log(tmp_path, "arm", append=True)
+    assert log is not None
+    log.write(30, 0, b"", b"")
+    log.close()
+    assert (tmp_path / "states" / "arm.msgpack").read_bytes()[whole:] == msgpack.packb((30, 0, b"", b""))
+
+
+def test_a_mark_of_another_log_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(output_folder, "MARKED_BYTES", 100)
+    path = tmp_path / "states" / "arm.msgpack"
+    for turn in (1, 2):
+        log = state_log(tmp_path, "arm")
+        assert log is not None
+        mark = path.with_name(".arm.whole")
+        assert not mark.exists(), "one that begins anew has none"
+        for epoch in range(1, 9):
+            log.write(epoch, 0, bytes(90), bytes([16 * turn + epoch] * 32))
+        log.close()
+        if turn == 1:
+            first = mark.read_bytes()
+    assert output_folder._marked_bytes(path)
+    mark.write_bytes(first)
+    assert not output_folder._marked_bytes(path)
+    mark.write_bytes(b"torn")
+    assert not output_folder._marked_bytes(path)
