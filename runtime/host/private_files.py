@@ -91,21 +91,23 @@ def read_private(path: Path) -> bytes:
     return content
 
 
-def write_private(path: Path, content: bytes, replaces: bool = True) -> None:
-    """Write a private file, whole or not at all; its folder is made where it lacks. One that `replaces` none is on the
-    disk for good, or, where another process has made one meanwhile, left out. Raises `UnsafeFileError` if its folder is
-    not of this user alone, and `OSError` if it cannot be written."""
+def write_private(path: Path, content: bytes, replaces: bool = True, durable: bool = False) -> None:
+    """Write a private file, whole or not at all; its folder is made where it lacks. One that `replaces` none is left
+    out where another process has made one meanwhile; that one, and what is `durable`, is on the disk for good. Raises
+    `UnsafeFileError` if its folder is not of this user alone, and `OSError` if it cannot be written."""
     unfinished = f".{path.name}.{token_hex(4)}.tmp"
     with private_folder(path.parent, make=True) as folder:
         file = open_private(folder, unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, path)
         try:
             with os.fdopen(file, "wb") as stream:
                 stream.write(content)
-                if not replaces:
+                if durable or not replaces:
                     stream.flush()
                     os.fsync(stream.fileno())
             if replaces:
                 os.rename(unfinished, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+                if durable:
+                    os.fsync(folder)
             else:
                 with suppress(FileExistsError):
                     os.link(unfinished, path.name, src_dir_fd=folder, dst_dir_fd=folder)

@@ -120,8 +120,12 @@ class AttachedProcesses(ProcessSupervisor):
     async def run(self) -> None:
         """Start all of them, and wait until all are dismissed."""
         self.tasks.start_soon(self._watch_hub, self._orders[0].hub)
-        for order in self._orders:
-            await self.start(order)
+        try:
+            for order in self._orders:
+                await self.start(order)
+        except HieraxError as error:  # raised from within the tasks, it would be a group's
+            self.fail(error)
+            return
         if self._orders[0].lifetime_s is not None:
             self.tasks.start_soon(self._renew_again_and_again, self._orders[0].lifetime_s)
         await self._all_dismissed.wait()

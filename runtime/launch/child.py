@@ -327,6 +327,9 @@ async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing, f
     overheard = overhearing.of(orders[0].shares or orders[0].name)
     try:
         process = await forks.fork(overheard.writing, overhearing.console)
+    except BaseException:
+        overheard.close()
+        raise
     finally:
         os.close(overheard.writing)
     children = [Child(order, process, overheard) for order in orders]

@@ -24,6 +24,7 @@ from hierax.runtime.launch.keeper import BEAT_S
 from hierax.runtime.launch.keeper_link import Greeting, KeeperLink
 from hierax.runtime.launch.pipes import read_some, write_whole
 from hierax.runtime.recovery.disk import SLOTS, MappedFile
+from hierax.runtime.recovery.slots import without_padding
 from hierax.runtime.watch.logs import ForwardedLog
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import Value
@@ -223,7 +224,7 @@ class FarChild(Child):
             output="",
             states=bool(order.output),
             checkpoint="",
-            slots=tuple(self._storage.read(slot) for slot in range(SLOTS)),
+            slots=tuple(without_padding(self._storage.read(slot)) for slot in range(SLOTS)),
         )
         return there.admitted()
 

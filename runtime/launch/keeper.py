@@ -23,7 +23,8 @@ to its standard error, which `ssh` carries as well.
 
 import os
 import signal
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from math import inf
@@ -33,6 +34,7 @@ import anyio
 import anyio.abc
 from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStream
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.host.installed import installed_digest, installed_version
 from hierax.runtime.host.streams import own_input, own_output
@@ -126,13 +128,23 @@ class Keeper:
             for child in list(self._children.values()):
                 await child.process.wait()
 
+    async def _start(self, orders: Sequence[NodeOrder]) -> None:
+        """Start a process. Where the system refuses one, that one alone has ended."""
+        token = orders[0].process
+        try:
+            child = (await start_process(orders, self._overhearing, self._forks))[0]
+        except HieraxError as error:
+            print(f"hierax: {orders[0].name}: {error}", file=sys.stderr, flush=True)
+            await self._say({"ended": token, "code": 1})
+            return
+        self._children[token] = child
+        self._queues[token], queue = anyio.create_memory_object_stream[bytes](inf)
+        self._tasks.start_soon(_feed, child, queue)
+        self._tasks.start_soon(self._relay, child)
+
     async def _do(self, value: Mapping[str, Any]) -> None:
         if "start" in value:
-            child = (await start_process([_order(each) for each in value["start"]], self._overhearing, self._forks))[0]
-            self._children[child.token] = child
-            self._queues[child.token], queue = anyio.create_memory_object_stream[bytes](inf)
-            self._tasks.start_soon(_feed, child, queue)
-            self._tasks.start_soon(self._relay, child)
+            await self._start([_order(each) for each in value["start"]])
         elif "to" in value and value["to"] in self._children:
             self._queues[value["to"]].send_nowait(value["data"])
         elif "signal" in value and value["signal"] in self._children:

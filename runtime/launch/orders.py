@@ -74,7 +74,7 @@ class Orders:
         self.resumed_after = 0  # the last epoch that was committed before the run was resumed
         self.recorders = Recorders()  # those who record the run, wherever they are
         self.resumes = resumed is not None  # whether the run goes on with one that was written down
-        self.left: tuple[str, str] | None = None  # the node and process that waited, as the run was left, for a trial's end
+        self.left: tuple[str, str] | None = None  # a node and its process that, as a run was left, had been replaced
         self._terms = dict(deployment.terms)
         self._coming: Mapping[str, Mapping[str, ProcessTerms]] = {}
         self._lineages: dict[str, str] = {}
@@ -237,7 +237,7 @@ class Orders:
             terms=_plain(self._terms),
             coming={request: _plain(terms) for request, terms in self._coming.items()},
         )
-        write_run(self.options.state, run)
+        write_run(self.options.state, run, self.deployment.durability == "host")
 
     def _take_up(self, run: Run) -> None:
         try:

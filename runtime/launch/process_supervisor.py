@@ -13,9 +13,12 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts
 from hierax.runtime.launch.frames import ENDED, Frames, NodeOrder
+from hierax.schemas.errors import SchemaError
 
 Notify = Callable[[str], None]  # tells people what happens
 Fail = Callable[[Exception], None]  # is called with why the processes cannot go on
+
+PAST = 64  # how many processes that are past are remembered: of those that have just ended something may still be said
 
 
 @dataclass(eq=False)
@@ -51,11 +54,22 @@ class ProcessSupervisor(ABC):
     async def start_together(self, orders: Sequence[NodeOrder]) -> list[Child]:
         """Start a process that nodes share, and listen to it from now on."""
         children = await self._begin(orders)
+        self._forget_past()
         for child in children:
             self._children[child.token] = child
             self._restarts.setdefault(child.name, Restarts(self.terms(child.name)))
         self.tasks.start_soon(self._listen, children)
         return children
+
+    def _forget_past(self) -> None:
+        """Forget processes that are past but for the last ones: a run may have any number of them."""
+        past = [token for token, child in self._children.items() if self._is_past(child)]
+        for token in past[: max(len(past) - PAST, 0)]:
+            del self._children[token]
+
+    def _is_past(self, child: Child) -> bool:
+        """Whether a process has ended, without a report, and nobody counts on it any more."""
+        return child.ended.is_set() and child.state is ProcessState.ENDED and child.report is None
 
     async def end_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
         """End every process that is left: first kindly, then not; for the first, each has this time."""
@@ -107,7 +121,7 @@ class ProcessSupervisor(ABC):
         if lost and not self.ending:
             try:
                 await self._on_end_together(lost)
-            except HieraxError as error:  # no other can be started in its place
+            except (HieraxError, SchemaError) as error:  # no other can be started in its place
                 self.fail(error)
 
     async def _on_end_together(self, children: Sequence[Child]) -> None:

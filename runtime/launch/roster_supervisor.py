@@ -120,6 +120,10 @@ class RosterSupervisor(ProcessSupervisor):
         over = self._last_roster if child.order.life == frames.COME_BACK else None
         await child.send({frames.STOP: self.epoch, **({} if over is None else {frames.ROSTER: over.plain()})})
 
+    def _is_past(self, child: Child) -> bool:
+        is_counted_on = self.current.get(child.name) is child or self.members.get(child.name) == child.token
+        return super()._is_past(child) and not is_counted_on
+
     # --- what the processes say
 
     def _take(self, child: Child, value: dict[str, Any]) -> None:

@@ -69,10 +69,11 @@ class Running:
         return "" if self.open else read_key(key_path(self.run))
 
 
-def write_run(state: Path, run: Run) -> None:
-    """Write it into the folder of the checkpoints, whole or not at all. Raises `HieraxError` if that fails."""
+def write_run(state: Path, run: Run, durable: bool = False) -> None:
+    """Write it into the folder of the checkpoints, whole or not at all; what is `durable` outlives the machine's crash.
+    Raises `HieraxError` if that fails."""
     content = asdict(run)
-    _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)})
+    _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)}, durable)
     with suppress(OSError):
         (state / _OUTDATED).unlink()
 
@@ -268,6 +269,6 @@ def _run(content: Any) -> Run:
     return run
 
 
-def _write(path: Path, content: Mapping[str, Any]) -> None:
+def _write(path: Path, content: Mapping[str, Any], durable: bool = False) -> None:
     with errors_named(path):
-        write_private(path, json.dumps(content, indent=2).encode() + b"\n")
+        write_private(path, json.dumps(content, indent=2).encode() + b"\n", durable=durable)

@@ -55,6 +55,14 @@ class Slots:
         return tuple(sorted(reads, key=lambda read: (read.empty, not read.fault, -read.sequence)))
 
 
+def without_padding(raw: bytes) -> bytes:
+    """A slot's bytes without those behind its record, as files grow by powers of two; of one that is torn, all."""
+    if len(raw) < _DATA:
+        return raw
+    _, length = _HEAD.unpack_from(raw, _CHECKSUM.size)
+    return raw[: _DATA + length] if length else raw
+
+
 def _read(slot: int, raw: bytes) -> Read:
     if len(raw) < _DATA:
         return Read(slot, fault=f"cut off: {len(raw)} bytes, not even the {_DATA} before the data")

@@ -20,12 +20,14 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.launch import child as child_module
+from hierax.runtime.launch.attached_processes import AttachedProcesses
 from hierax.runtime.launch.child import Child, NodeProcess, Overheard, Overhearing, ProcessState, start_process
 from hierax.runtime.launch.far_host import FarChild, FarHost, FarProcess
 from hierax.runtime.launch.fork_server import UNKNOWN, ForkServer
-from hierax.runtime.launch.frames import BEGIN, NodeOrder
+from hierax.runtime.launch.frames import BEGIN, Frames, NodeOrder
+from hierax.runtime.launch.keeper import Keeper
 from hierax.runtime.launch.orders import LaunchOptions, Orders
-from hierax.runtime.launch.process_supervisor import ProcessSupervisor
+from hierax.runtime.launch.process_supervisor import PAST, ProcessSupervisor
 
 
 class Noting(ProcessSupervisor):
@@ -201,3 +203,73 @@ def test_the_number_of_a_process_on_another_host_is_nobody_s_here(
     child.close()
     other.terminate()
     assert other.wait() == -signal.SIGTERM
+
+
+def test_of_processes_that_are_past_the_last_ones_are_remembered(tmp_path: Path) -> None:
+    """A node whose device is missing for weeks is started again any number of times."""
+
+    async def main() -> None:
+        async with anyio.create_task_group() as tasks:
+            supervisor = Noting(tasks)
+            for number in range(3 * PAST):
+                again = replace(order(tmp_path), process=f"w{number}")
+                child = Child(again, cast(NodeProcess, Ended(1, 1)), cast(Overheard, Mute()), ProcessState.ENDED)
+                child.ended.set()
+                supervisor._children[child.token] = child
+            supervisor._children["w1"].report = {"status": "report"}
+            supervisor._children["w2"].state = ProcessState.RESTARTING
+            supervisor._forget_past()
+            last = [f"w{number}" for number in range(2 * PAST, 3 * PAST)]
+            assert [child.token for child in supervisor.children] == ["w1", "w2", *last]
+            supervisor.forks.close()
+        supervisor.overhearing.close()
+
+    anyio.run(main)
+
+
+class Refusing:
+    """Starts no process, as a system that has no room for one."""
+
+    async def fork(self, writing: int, console: int) -> NodeProcess:
+        raise HieraxError("no process can be started: Resource temporarily unavailable")
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def test_on_another_host_a_process_that_the_system_refuses_has_ended_and_no_other_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reading, writing = os.pipe()
+
+    async def main() -> None:
+        async with anyio.create_task_group() as tasks:
+            keeper = Keeper(tasks, -1, writing, cast(ForkServer, Refusing()))
+            before = descriptors()
+            await keeper._start([order(tmp_path)])
+            assert descriptors() == before
+
+    anyio.run(main)
+    os.close(writing)
+    assert Frames().feed(os.read(reading, 1 << 16)) == [{"ended": "w", "code": 1}]
+    os.close(reading)
+    assert capsys.readouterr().err == "hierax: world: no process can be started: Resource temporarily unavailable\n"
+
+
+def test_who_attaches_to_a_launch_is_told_that_the_system_refuses_a_process(tmp_path: Path) -> None:
+    failures: list[str] = []
+
+    async def main() -> None:
+        async with anyio.create_task_group() as tasks:
+            terms = {"world": ProcessTerms()}
+            fail = lambda error: failures.append(str(error))  # noqa: E731 - noted where it is looked at
+            attached = AttachedProcesses(tasks, [order(tmp_path)], terms, lambda order: "", print, fail)
+            attached._forks.close()
+            attached._forks = cast(ForkServer, Refusing())
+            await attached.run()
+            tasks.cancel_scope.cancel()
+        attached.overhearing.close()
+
+    anyio.run(main)
+    assert failures == ["no process can be started: Resource temporarily unavailable"]

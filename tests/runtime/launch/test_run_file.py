@@ -102,6 +102,22 @@ def test_a_run_is_written_for_this_user_alone(tmp_path: Path) -> None:
     assert stat.S_IMODE((tmp_path / "state" / "run.json").stat().st_mode) == 0o600
 
 
+def test_what_it_takes_to_resume_a_run_outlives_the_machine_where_its_checkpoints_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both are on the disk, the file before it has its name and the folder with it."""
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append(Path(f"/proc/self/fd/{file}").resolve().name))
+    write_run(tmp_path / "state", RUN)
+    synced.clear()  # of the user's own key
+    write_run(tmp_path / "state", RUN)
+    assert not synced
+    write_run(tmp_path / "state", RUN, durable=True)
+    unfinished, folder = synced
+    assert unfinished.startswith(".run.json.")
+    assert folder == "state"
+
+
 def test_nobody_goes_on_with_a_run_by_what_was_written_before_a_change(tmp_path: Path) -> None:
     state = tmp_path / "state"
     write_run(state, RUN)

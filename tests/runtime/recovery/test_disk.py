@@ -13,7 +13,7 @@ import pytest
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recovery.disk import MAGIC, CheckpointError, Durability, MappedFile, kept_at
-from hierax.runtime.recovery.slots import Read, Slots
+from hierax.runtime.recovery.slots import Read, Slots, without_padding
 
 PAGE_BYTES = 4096
 
@@ -232,3 +232,23 @@ def test_an_unknown_durability_is_refused(path: Path) -> None:
     durability: Any = "forever"
     with pytest.raises(ValueError, match="durability 'forever'; expected one of process, host"):
         MappedFile(path, durability)
+
+
+def test_a_slot_is_sent_on_without_what_its_file_has_behind_the_record(path: Path) -> None:
+    records = bytes(70_000), bytes(70_001)
+    written(path, *records)
+    with MappedFile(path) as storage:
+        raw = [storage.read(slot) for slot in range(2)]
+    assert [len(each) for each in raw] == [131_072 - len(MAGIC)] * 2
+    sent = [without_padding(each) for each in raw]
+    assert [len(each) - 70_000 for each in sent] == [20 + 1, 20]
+    with MappedFile(path.with_name("there")) as storage:
+        for slot, each in enumerate(sent):
+            storage.write(slot, each)
+        assert [found.data for found in Slots(storage).read()] == [records[1], records[0]]
+
+
+def test_a_slot_without_a_record_is_sent_on_as_it_is(path: Path) -> None:
+    torn = bytes(12) + (1 << 40).to_bytes(8, "little") + bytes(100)
+    for raw in (b"", bytes(10), bytes(4088), torn):
+        assert without_padding(raw) == raw
