@@ -1,6 +1,7 @@
 """``hierax echo``: the messages of a launch as they go."""
 
 import json
+import logging
 import queue
 import time
 from collections.abc import Iterator
@@ -13,9 +14,12 @@ if TYPE_CHECKING:
     from hierax.runtime.execution.report import Json
     from hierax.runtime.tools.echoes import Echo, Edge
     from hierax.runtime.transport.launch_client import LaunchClient
+    from hierax.schemas.messages import Message
 
 ASK_AGAIN_S = 1.5  # well within the time for which nodes show copies when they are asked
 QUEUE_SIZE = 10_000  # how many messages wait to be printed; of more than that, new ones are left out
+
+_log = logging.getLogger("hierax")
 
 
 def echo(
@@ -40,36 +44,61 @@ def echo(
 
 def echoes(client: "LaunchClient", pattern: str) -> "Iterator[Echo]":
     """Messages as they come; ends when the launch does."""
-    from hierax.runtime.tools.echoes import Counter
+    from hierax.runtime.tools.echoes import Counter, edge_of
     from hierax.runtime.transport.port import TransportError
-    from hierax.schemas.messages import decode_message
+    from hierax.schemas.messages import EDGE_KINDS
 
-    came: queue.Queue[bytes] = queue.Queue(QUEUE_SIZE)
+    came: queue.Queue[tuple[Edge, bytes]] = queue.Queue(QUEUE_SIZE)
 
-    def heard(_: str, data: bytes) -> None:
-        if not came.full():  # what is left out is seen by its epoch
-            came.put_nowait(data)
+    def heard(key: str, data: bytes) -> None:
+        edge = edge_of(key)
+        if edge[0] in EDGE_KINDS and not came.full():  # what is left out is seen by its epoch
+            came.put_nowait((edge, data))
 
     _ask(client, pattern)
     client.listen(client.keys().seen("*", "*", "*"), heard)
     wanted = _ask(client, pattern)
     asked_s = time.monotonic()
-    counter = Counter()
+    counter, reader = Counter(), _Reader()
     while True:
-        try:
-            data = came.get(timeout=max(asked_s + ASK_AGAIN_S - time.monotonic(), 0))
-        except queue.Empty:
-            data = b""
+        shown = _next(came, asked_s + ASK_AGAIN_S - time.monotonic())
         if time.monotonic() - asked_s >= ASK_AGAIN_S:
             try:
                 wanted = _ask(client, pattern)
             except TransportError:
                 return
             asked_s = time.monotonic()
-        if data:
-            message = decode_message(data)
-            if message.header[:3] in wanted:  # another one who looks may want others
-                yield counter.take(message, len(data))
+        if shown is not None and shown[0] in wanted:  # another one who looks may want others
+            message = reader.read(*shown)
+            if message is not None:
+                yield counter.take(message, len(shown[1]))
+
+
+def _next(came: "queue.Queue[tuple[Edge, bytes]]", timeout_s: float) -> "tuple[Edge, bytes] | None":
+    """What was shown next, with its edge; None: nothing in this time."""
+    try:
+        return came.get(timeout=max(timeout_s, 0))
+    except queue.Empty:
+        return None
+
+
+class _Reader:
+    """Reads what is shown, and leaves out what is no message of its key, which it says once."""
+
+    def __init__(self) -> None:
+        self._has_warned = False
+
+    def read(self, edge: "Edge", data: bytes) -> "Message | None":
+        from hierax.runtime.tools.echoes import message_of, short_key
+        from hierax.schemas.errors import SchemaError
+
+        try:
+            return message_of(edge, data)
+        except SchemaError as error:
+            if not self._has_warned:
+                _log.warning("%s: left out, as all else that is no message of its key: %s", short_key(edge), error)
+            self._has_warned = True
+            return None
 
 
 def _ask(client: "LaunchClient", pattern: str) -> "set[Edge]":

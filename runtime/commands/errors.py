@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import StandardOutputError, drop_output, own_errors
+from hierax.runtime.host.streams import printable as printable
 from hierax.schemas.errors import SchemaError
 
 OK, FAILED, USAGE, BUG = range(4)
@@ -75,11 +76,6 @@ def interrupted() -> int:
     CTRL_C.taken()
     _say("interrupted")
     return INTERRUPTED
-
-
-def printable(text: str) -> str:
-    """A text of foreign make for a terminal: what would move the cursor, or do more, is written out."""
-    return "".join(each if each.isprintable() or each in "\n\t" else repr(each)[1:-1] for each in text)
 
 
 def _say(line: str) -> None:

@@ -1,6 +1,6 @@
 """``hierax inspect``: what a node of a launch, or of a recording, believes, and why."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +9,7 @@ from hierax.runtime.commands.options import Format, Full, Node, RunOptions, argu
 from hierax.runtime.commands.show import print_json
 from hierax.runtime.commands.which_launch import Meant, client_at, launch_meant, own_deployment
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.streams import printable
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Json
@@ -35,7 +36,7 @@ def inspect(
     seen = _of_launch(node, options) if file is None else _of_recording(node, file, epoch, options.trust)
     named, answer, told = seen
     if options.output_format is Format.json:
-        print_json({**as_json(*named, node, answer, full), "shows": {view: dict(each) for view, each in told.items()}})
+        print_json(as_json(*named, node, {**answer, "shows": told}, full))
     else:
         _print(*named, node, answer, told)
     return 0
@@ -100,12 +101,8 @@ def as_json(hierarchy: str, run: str, node: str, answer: "Answer", full: bool = 
 def _print(hierarchy: str, run: str, node: str, answer: Mapping[str, Any], told: "Told") -> None:
     from hierax.runtime.tools.summary import tree
 
-    counts = {True: "committed", False: "not committed yet", None: "epochs overlap"}[answer["committed"]]
-    print(f"{node} of {hierarchy}, run {run}: after epoch {answer['epoch']} ({counts})")
-    print(f"class  {answer['class']}")
-    for where in ("below", "above"):
-        print(f"{where}  {', '.join(answer[where]) or 'nothing'}")
-    print(f"policy  {answer['policy']} (of {', '.join(answer['policies'])})")
+    for line in _about(hierarchy, run, node, answer):
+        print(printable(line, kept=""))
     for what in ("observations", "sensed", "tasks", "context", "actions", "belief"):
         if what in answer:
             print("\n".join(tree(answer[what], what)))
@@ -114,4 +111,14 @@ def _print(hierarchy: str, run: str, node: str, answer: Mapping[str, Any], told:
         if figures:
             print("\n".join(tree(figures, f"shows {view}")))
         for text in (each for each in things.values() if isinstance(each, str)):
-            print(f"\n{text}")
+            print(f"\n{printable(text)}")
+
+
+def _about(hierarchy: str, run: str, node: str, answer: Mapping[str, Any]) -> Iterator[str]:
+    """What a node is, line by line."""
+    counts = {True: "committed", False: "not committed yet", None: "epochs overlap"}[answer["committed"]]
+    yield f"{node} of {hierarchy}, run {run}: after epoch {answer['epoch']} ({counts})"
+    yield f"class  {answer['class']}"
+    for where in ("below", "above"):
+        yield f"{where}  {', '.join(answer[where]) or 'nothing'}"
+    yield f"policy  {answer['policy']} (of {', '.join(answer['policies'])})"

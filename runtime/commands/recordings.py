@@ -24,6 +24,7 @@ from hierax.runtime.commands.options import (
 from hierax.runtime.commands.show import in_force_text, print_json
 from hierax.runtime.commands.which_launch import client_at, launch_meant
 from hierax.runtime.host.private_files import check_encodable
+from hierax.runtime.host.streams import printable
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import Comparison, EpochView
@@ -122,7 +123,7 @@ def comparison_json(comparison: "Comparison") -> dict[str, Any]:
 def print_comparison(comparison: "Comparison", a: str, b: str) -> None:
     """A comparison as text. `a`, `b`: what the two sides are called."""
     for roster in comparison.rosters:
-        print(f"rosters differ from epoch {roster.epoch}: {roster.path}")
+        print(printable(f"rosters differ from epoch {roster.epoch}: {roster.path}", kept=""))
         _print_sides(a, roster.a, b, roster.b)
     difference = comparison.difference
     untold = f"; {comparison.unknown} results are not told on one side" if comparison.unknown else ""
@@ -130,7 +131,8 @@ def print_comparison(comparison: "Comparison", a: str, b: str) -> None:
         what = f"{comparison.epochs} epochs, {comparison.digests} digests: all results are alike"
         print(f"{what}{untold}")
         return
-    print(f"first difference: epoch {difference.epoch}, {difference.subject}, {difference.operator}: {difference.path}")
+    where = f"epoch {difference.epoch}, {difference.subject}, {difference.operator}: {difference.path}"
+    print(printable(f"first difference: {where}", kept=""))
     _print_sides(a, difference.a, b, difference.b)
     print(f"{comparison.equal} epochs before it are alike{untold}")
 
@@ -139,7 +141,7 @@ def _print_sides(a: str, left: Any, b: str, right: Any) -> None:
     width = max(len(a), len(b))
     for name, value in ((a, left), (b, right)):
         text = value.hex() if isinstance(value, bytes) else repr(value)
-        print(f"  {name:<{width}}  {text if len(text) <= SHOWN_CHARS else text[:SHOWN_CHARS] + '…'}")
+        print(printable(f"  {name:<{width}}  {text if len(text) <= SHOWN_CHARS else text[:SHOWN_CHARS] + '…'}"))
 
 
 def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int:

@@ -59,11 +59,13 @@ def table_of(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[str,
     from rich.table import Table
     from rich.text import Text
 
+    from hierax.runtime.host.streams import printable
+
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, **options)
     for heading, of_column in columns.items():
         table.add_column(heading, overflow="fold", **of_column)
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(Text(printable(cell)) for cell in row))
     return table
 
 

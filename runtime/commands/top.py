@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from hierax.runtime.commands.options import Connect, Format, KeyFile, OutputFormat, Run, option
 from hierax.runtime.commands.show import by_process, console, in_force_text, print_json, table_of
 from hierax.runtime.commands.which_launch import client_at, launch_meant
+from hierax.runtime.host.streams import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -100,11 +101,11 @@ def headline(look: Mapping[str, Any]) -> str:
     if look["epoch_us"]["p50"] is not None:
         line += f", an epoch p50 {_time(look['epoch_us']['p50'])}, p99 {_time(look['epoch_us']['p99'])}"
     counts = [
-        f"; {name}: " + ", ".join(f"{what} {figure:.6g}" for what, figure in sorted(node["metrics"].items()))
+        f"; {name}: " + ", ".join(f"{what} {float(figure):.6g}" for what, figure in sorted(node["metrics"].items()))
         for name, node in look["nodes"].items()
         if node.get("metrics")
     ]
-    line += f", roster version {look['roster']}{''.join(counts)}"
+    line += f", roster version {look['roster']}{printable(''.join(counts), kept='')}"
     return "\n".join([line, *lines_of(look.get("timing"))])
 
 
@@ -119,7 +120,7 @@ def table(look: Mapping[str, Any], width: int = WIDE) -> "Table":
         shown = [column for column in shown if column not in _DISPENSABLE]
     columns = {heading: {} if heading in _LEFT else {"justify": "right", "no_wrap": True} for heading in shown}
     rows = [_cells(name, node) for name, node in by_process(look["nodes"]).items()]
-    cells = [tuple(row.get(heading, "") for heading in shown) for row in rows]
+    cells = [tuple(printable(row.get(heading, ""), kept="") for heading in shown) for row in rows]
     return table_of(columns, cells, padding=(0, 1) if width >= WIDE else 0)
 
 

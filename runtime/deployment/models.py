@@ -20,6 +20,9 @@ EDGE_PATTERN = r"^\s*\S+\s*->\s*\S+\s*$"
 MAX_STALENESS = 8
 """Held messages bound it; more would only be a longer wait for what comes."""
 
+MAX_CERTIFICATES_S = 3650 * 86400
+"""Ten years, by far longer than a run; no calendar has the end of what holds for some thousands of years."""
+
 LOCAL = "local"  # in the place of a host that is this machine
 
 _MODULES = re.compile(MODULES_PATTERN)
@@ -304,9 +307,9 @@ class DeploymentModel(_Model):
     insecure: bool = _field(
         "whether what passes between machines (`--host`) may be read on the way; by default it is encrypted", False
     )
-    certificates_s: Annotated[float, Field(ge=5, allow_inf_nan=False)] | None = _field(
-        "how many seconds certificates of nodes' and recorders' processes hold, each of which gets a new one when a "
-        "third of that is over; null: as long as the run",
+    certificates_s: Annotated[float, Field(ge=5, le=MAX_CERTIFICATES_S, allow_inf_nan=False)] | None = _field(
+        "how many seconds, ten years at most, certificates of nodes' and recorders' processes hold, each of which gets "
+        "a new one when a third of that is over; null: as long as the run",
         None,
     )
     processes: Processes = _field(

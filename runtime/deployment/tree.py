@@ -81,7 +81,7 @@ def read_tree(text: str, place: str, has_lines: bool = True) -> Tree:
     if len(text) > MAX_TEXT_CHARS:
         raise DeploymentError(f"has {len(text)} characters; at most {MAX_TEXT_CHARS} are allowed", place)
     try:
-        root = yaml.compose(text, Loader=_Loader)
+        root = _composed(text, tree)
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         character = chr(error.character) if isinstance(error.character, int) else error.character
@@ -93,6 +93,19 @@ def read_tree(text: str, place: str, has_lines: bool = True) -> Tree:
     if root is not None:
         tree.value = _Builder(tree).build(root, ())
     return tree
+
+
+def _composed(text: str, tree: Tree) -> yaml.Node | None:
+    """A document's root as `yaml.compose` gives it. Raises `DeploymentError` at a number that is too large for it."""
+    loader = _Loader(text)
+    try:
+        root: yaml.Node | None = loader.get_single_node()
+    except (ValueError, OverflowError) as error:  # of an escape, as in "\UFFFFFFFF", or of a version, as in %YAML
+        what = f"found a number that is too large; that of a character is 10FFFF at most (column {loader.column + 1})"
+        raise DeploymentError(f"no valid YAML: {what}", tree.at(loader.line + 1)) from error
+    finally:
+        loader.dispose()
+    return root
 
 
 def _syntax_error(error: yaml.MarkedYAMLError, tree: Tree) -> DeploymentError:

@@ -86,7 +86,7 @@ def _named(address: str) -> dict[str, x509.GeneralName]:
         return {address: x509.IPAddress(ipaddress.ip_address(address))}
     except ValueError:
         names: dict[str, x509.GeneralName] = {address: x509.DNSName(address)}
-    with suppress(OSError):
+    with suppress(OSError, UnicodeError):  # the second of what can be no host's name
         for *_, (number, *_) in socket.getaddrinfo(address, None):
             names[str(number)] = x509.IPAddress(ipaddress.ip_address(number))
     return names

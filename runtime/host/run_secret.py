@@ -74,8 +74,15 @@ def issued(secret: str, role: str, addresses: Sequence[str] = (), until: datetim
 
 
 def end_of(lifetime_s: float | None) -> datetime | None:
-    """When a certificate ends that is made now and holds for so long; None: for ever."""
-    return None if lifetime_s is None else datetime.now(timezone.utc) + timedelta(seconds=lifetime_s)
+    """When a certificate ends that is made now and holds for so long; None: for ever. Raises `HieraxError` if that
+    is after all calendars."""
+    if lifetime_s is None:
+        return None
+    try:
+        return datetime.now(timezone.utc) + timedelta(seconds=lifetime_s)
+    except OverflowError as error:
+        expected = "expected an end before the year 10000"
+        raise HieraxError(f"a certificate cannot hold for {lifetime_s:g} s; {expected}") from error
 
 
 def whose(secret: str) -> tuple[str, datetime] | None:

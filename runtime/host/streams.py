@@ -95,6 +95,14 @@ def own_streams() -> None:
     sys.stderr = _text(io.BufferedWriter(_Errors(os.dup(2), "w")), encodings[1], write_through=True)
 
 
+def printable(text: str, kept: str = "\n\t") -> str:
+    """A text of foreign make for a terminal: what would move the cursor, or do more, is written out, but for the
+    characters of `kept`; without them it stays in its line."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() or each in kept else repr(each)[1:-1] for each in text)
+
+
 def own_errors() -> int | None:
     """The descriptor to which this process writes its own errors; None: it has no streams of its own."""
     raw = getattr(getattr(sys.stderr, "buffer", None), "raw", None)

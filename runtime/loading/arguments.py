@@ -35,7 +35,11 @@ def _allowed(annotation: Any) -> tuple[Any, ...]:
     """The types that a value may have; empty: any."""
     is_union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
     kinds = typing.get_args(annotation) if is_union else (annotation,)
-    return kinds if all(kind in _EXPECTED or (is_union and kind is type(None)) for kind in kinds) else ()
+    return kinds if all(_is_looked_at(kind) or (is_union and kind is type(None)) for kind in kinds) else ()
+
+
+def _is_looked_at(kind: Any) -> bool:
+    return any(kind is each for each in _EXPECTED)  # an annotation may be anything, also what has no hash
 
 
 def _is_of(value: Value, kind: Any) -> bool:

@@ -34,6 +34,8 @@ class Ledger:
         self._sent: dict[Attempt, int] = {}
         self._deaths: set[str] = set()
         self._names: frozenset[str] = frozenset()
+        self._world = ""  # its name, by the last roster; empty: none is known
+        self._chained: dict[str, int] = {}  # by node, the last epoch that it says is committed
         # messages that reached their receivers and not the recorder, as their senders' processes died meanwhile
         self.cut_short: list[Gap] = []
         self._ages: deque[tuple[float, Attempt]] = deque()
@@ -107,7 +109,8 @@ class Ledger:
     def expect(self, roster: Roster) -> None:
         """A roster that was not known yet."""
         self._deaths |= self._names - roster.nodes.keys()
-        self._names = frozenset(roster.nodes)
+        self._names, self._world = frozenset(roster.nodes), roster.world
+        self._count_commits()
         self._rates, self._pairs = roster.rates, roster.pairs
         if not self._expected:
             self._expected = self._names
@@ -134,7 +137,8 @@ class Ledger:
             return
         self.number(step.name, step.stream, step.number, step.epoch)
         if step.chain:
-            self.last = max(self.last, step.epoch)
+            self._chained[step.name] = max(step.epoch, self._chained.get(step.name, 0))
+            self._count_commits()
         needed: dict[Attempt, int] = {}
         oldest = self._oldest
         for sent, kind, peer, epoch, attempt in step.passages:
@@ -200,6 +204,10 @@ class Ledger:
         if silent and (self.from_start or self._first):
             self.add(Gap(self.last, f"all steps of {', '.join(silent)}", len(silent)))
         return tuple(self._gaps), self._lost
+
+    def _count_commits(self) -> None:
+        """Epochs are committed by the world alone; who that is, a roster says, which may come after its first steps."""
+        self.last = max(self.last, self._chained.get(self._world, 0))
 
     def _bit(self, line: Line) -> int:
         """The bit that stands for a line in the numbers of what was heard, sent and is missing."""

@@ -40,6 +40,8 @@ RENEW, LAST = "renew", "last"
 LISTENING, RENEWED, DONE, FAILED = "listening", "renewed", "done", "failed"
 """What it says: it hears all from now on; it shows the new certificate; how the recording ended; why there is none."""
 
+_HOW_FAR = {"ask": "ps"}
+
 _log = logging.getLogger("hierax")
 
 _saying = threading.Lock()
@@ -104,12 +106,9 @@ class LiveRecording:
 
     def _look(self) -> None:
         """How far the launch is, by its supervisor's words: a recorder that is cut off hears nothing, and not that."""
-        said = _epoch_of(self._ear.ask({"ask": "ps"}))
+        said = self._asked()
         if said is None:
-            self._stopping = True
-            # it is over; else this session is cut off, and another one is told
-            with suppress(HieraxError), LaunchClient(*self._reach) as client:
-                self._last = _epoch_of(client.ask({"ask": "ps"}))
+            self._stopping = True  # it is over
             return
         heard = self._recorder.ledger.last
         behind = heard < (self._last or 0)
@@ -118,6 +117,15 @@ class LiveRecording:
         self._last = said
         if self._silent >= CUT_OFF_LOOKS:
             self._stopping = True
+
+    def _asked(self) -> int | None:
+        """The last epoch by the supervisor's words; None: it answers neither in the session that listens, which may be
+        cut off, or its link have broken just now, nor in another one."""
+        said = _epoch_of(self._ear.ask(_HOW_FAR))
+        if said is None:
+            with suppress(HieraxError), LaunchClient(*self._reach) as client:
+                said = _epoch_of(client.ask(_HOW_FAR))
+        return said
 
     def _take(self, wait_s: float) -> bool:
         heard = self._ear.wait(wait_s)

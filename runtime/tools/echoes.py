@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message, decode_message
 
 Edge = tuple[str, str, str]  # kind, sender and receiver
 WINDOW = 100  # over how many messages, the last ones, a rate is taken
@@ -41,6 +42,22 @@ def chosen(pattern: str, edges: Sequence[Edge]) -> list[Edge]:
         known = did_you_mean(pattern, map(short_key, edges), "there are")
         raise HieraxError(f"no key fits {pattern!r}: expected KIND/FROM/TO, with * for any{known}")
     return found
+
+
+def edge_of(key: str) -> Edge:
+    """The edge that a key of copies names; of what nodes show beside messages the kind is no message's."""
+    kind, sender, receiver = key.split("/")[-3:]
+    return kind, sender, receiver
+
+
+def message_of(edge: Edge, data: bytes) -> Message:
+    """The message that was shown on the key of an edge. That key alone tells who may show something there, so one that
+    says it is of another edge is none. Raises `SchemaError` if it is none."""
+    message = decode_message(data)
+    if message.header.line != edge:
+        said = shown(short_key(message.header.line))
+        raise SchemaError(f"expected what its key names, got {said}", "message")
+    return message
 
 
 class Echo(NamedTuple):

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.execution.report import Json
+from hierax.runtime.execution.report import Json, plain
 from hierax.runtime.execution.timing import timing_of
 from hierax.runtime.transport.launch_client import Answer, LaunchStatus
+from hierax.runtime.watch.meter import WORK
 
 NS_PER_S = 1e9
 
@@ -26,7 +27,8 @@ def rates_between(before: Answer | None, after: Answer) -> dict[str, Json]:
     epochs = new["epochs"] - old.get("epochs", 0)
     interval_s = (new["ns"] - old.get("ns", 0)) / NS_PER_S or inf
     waiting_s = _differences(old.get("waiting_ns", {}), new["waiting_ns"])
-    spent_s = {**_differences(old.get("work_ns", {}), new["work_ns"]), "waiting": sum(waiting_s.values())}
+    work_s = {**dict.fromkeys(WORK, 0.0), **_differences(old.get("work_ns", {}), new["work_ns"])}
+    spent_s = {**work_s, "waiting": sum(waiting_s.values())}
     longest = sorted(waiting_s.items(), key=lambda item: (-item[1], item[0]))
     return {
         "epochs": epochs,
@@ -51,6 +53,14 @@ def doing(answer: Answer) -> str:
     return f"waits for {', '.join(waited)}" if waited else "between epochs"
 
 
+def _timing(answers: Mapping[str, Answer]) -> Json:
+    """How a launch keeps its times, as `timing_of` has it. A pace is the world's to tell: of several none counts."""
+    told = {name: answer.get("timing", {}) for name, answer in answers.items()}
+    if sum("pace" in each for each in told.values()) > 1:
+        told = {name: {what: each for what, each in said.items() if what != "pace"} for name, said in told.items()}
+    return timing_of(told)
+
+
 def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[str, Answer]) -> Json:
     """All of a launch as plain JSON, from what its nodes have answered, twice; some may not have."""
     nodes: dict[str, Json] = {}
@@ -60,12 +70,12 @@ def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[
         nodes[name] = {key: told[key] for key in shown if key in told}
         nodes[name]["answers"] = answer is not None
         if answer is not None:
-            said = {key: answer[key] for key in ("pid", "epoch", "rss_bytes", "metrics")}
+            said = {key: plain(answer[key]) for key in ("pid", "epoch", "rss_bytes", "metrics")}
             if answer.get("in_force"):  # where nodes have rates
                 said["in_force"] = answer["in_force"]
             nodes[name] |= {**said, "doing": doing(answer), **rates_between(before.get(name), answer)}
     there = [name for name in nodes if name in after]
-    timing = timing_of({name: answer.get("timing", {}) for name, answer in after.items()})
+    timing = _timing(after)
     quickest = max(there, key=lambda name: nodes[name]["epochs_per_s"], default="")
     epochs_ns = after[quickest]["meter"]["epochs_ns"] if quickest else ()
     return {

@@ -1,4 +1,4 @@
-"""Values as text for people: arrays summarised, everything else as it is."""
+"""Values as text for people: arrays summarised, all else as it is, but for what would move a terminal's cursor."""
 
 from collections.abc import Iterator
 from itertools import islice
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hierax.runtime.execution.report import HEAD_BYTES, statistics
+from hierax.runtime.host.streams import printable
 from hierax.schemas.values import Value
 
 SMALL_ARRAY = 16  # arrays of so many elements are shown whole
@@ -17,7 +18,7 @@ _INDENT = "  "
 
 def tree(value: Value, name: str = "", depth: int = 0) -> Iterator[str]:
     """A value as lines of text, what is inside of what indented."""
-    label = f"{_INDENT * depth}{name}  " if name else _INDENT * depth
+    label = f"{_INDENT * depth}{_in_its_line(name)}  " if name else _INDENT * depth
     flat = in_line(value)
     if len(label) + len(flat) <= _LINE_CHARS or not isinstance(value, (dict, tuple, list)):
         yield f"{label}{flat}"
@@ -44,12 +45,16 @@ def in_line(value: Value, most: int | None = None) -> str:
     if isinstance(value, np.ndarray):
         return _array_in_line(value, most)
     if isinstance(value, (dict, tuple, list)):
-        keys = [f"{key}: " for key in value] if isinstance(value, dict) else [""] * len(value)
+        keys = [f"{_in_its_line(key)}: " for key in value] if isinstance(value, dict) else [""] * len(value)
         items = value.values() if isinstance(value, dict) else value
         texts = [f"{key}{in_line(item, most)}" for key, item in islice(zip(keys, items, strict=True), most)]
         joined = ", ".join(texts + ["…"] * (len(texts) < len(value)))
         return f"{{{joined}}}" if isinstance(value, dict) else f"[{joined}]"
-    return repr(value) if isinstance(value, str) and most is None else str(value)
+    return repr(value) if isinstance(value, str) and most is None else _in_its_line(value)
+
+
+def _in_its_line(value: Value) -> str:
+    return printable(str(value), kept="")
 
 
 def _array_in_line(array: np.ndarray[Any, Any], most: int | None) -> str:

@@ -24,6 +24,8 @@ from hierax.schemas.values import Value, encode_value
 
 CHANNEL_SIZE = 4096  # how many samples wait for the thread that takes them in; when it is full, their senders wait
 QUEUE_BYTES = 512 << 20  # how much may wait for the disk; what is more is dropped, counted and named
+BEGINNING_BYTES = 4096  # how much is kept of what is dropped: the header, by which it is named
+BEGINNINGS = 16384  # of so much; of what else is dropped until somebody asks only the key is
 
 ANSWER_TIMEOUT_S = 2.0
 KNOWN_S = 10.0  # how long it may take until who listens is known in another session
@@ -299,7 +301,8 @@ class BusTap:
         """Whether it can wait; else it is dropped."""
         waiting = self._waiting + self._held
         if waiting and waiting + len(heard.data) > QUEUE_BYTES:
-            self._dropped.append((heard.key, heard.data[:256]))
+            kept_bytes = BEGINNING_BYTES if len(self._dropped) < BEGINNINGS else 0
+            self._dropped.append((heard.key, heard.data[:kept_bytes]))
             return False
         return True
 

@@ -5,6 +5,7 @@ there waits for slow receivers, and a tool that its user has stopped would hold 
 are dropped where they cannot go at once (`hierax.runtime.transport.control`).
 """
 
+import logging
 import os
 import socket
 import time
@@ -21,6 +22,7 @@ from hierax.runtime.host.run_secret import whose
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.transport.access_control import launch_alone
 from hierax.runtime.transport.control import CHANGES, answers_on
+from hierax.runtime.transport.node_answers import is_answer
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, address_of, close_session, open_session
 from hierax.schemas.access import OPERATOR, READER
@@ -40,6 +42,8 @@ LOOK_AGAIN_S = 0.02
 KNOCK_TIMEOUT_S = 5.0
 
 Answer = dict[str, Any]
+
+_log = logging.getLogger("hierax")
 
 
 class AnswerError(HieraxError):
@@ -112,6 +116,7 @@ class LaunchClient:
     ) -> None:
         self.endpoint = endpoint  # of the hub
         self._keys = keys  # of the run; None: they are found out, which fails where several answer
+        self._warned_of: set[str] = set()  # nodes
         self._role, until = whose(secret) or (OPERATOR, None)  # whose key it has; the run's own will do for that
         try:  # a client, as the processes of the run would link to a peer
             self._session = open_session(
@@ -149,13 +154,14 @@ class LaunchClient:
     def ask_nodes(
         self, status: LaunchStatus, question: Mapping[str, Value], names: Collection[str]
     ) -> dict[str, Answer]:
-        """What nodes answer, as `answers_of`; of a node's processes, only the one that has its place counts."""
-        return {
-            name: answer
-            for name, answers in self.answers_of(question, names).items()
-            for answer in answers
-            if isinstance(answer, dict) and answer.get("process") == status.nodes[name]["process"]
-        }
+        """What nodes answer, as `answers_of`; of a node's processes, only the one that has its place counts. Whose
+        answer is not of the shape that was asked for is left out, which is said once."""
+        found, unread = self._answers(status, question, names)
+        for name in unread:
+            if name not in self._warned_of:
+                _log.warning("%s: left out, as its process gives answers that cannot be read", name)
+            self._warned_of.add(name)
+        return found
 
     def change(self, change: Change, terms: Mapping[str, object], here: bool = False, host: str = "") -> Answer:
         """Have the roster change, with terms of new nodes' processes; what the launch answers when the change counts,
@@ -169,17 +175,15 @@ class LaunchClient:
     def edges(self, status: LaunchStatus) -> list[tuple[str, str]]:
         """The edges of a launch, as (lower, upper), in order."""
         answers = self.ask_nodes(status, {"look": "neighbours"}, status.nodes)
-        return sorted(
-            (lower, name)
-            for name, answer in answers.items()
-            for lower in answer.get("below", ())
-            if isinstance(lower, str)
-        )
+        return sorted((lower, name) for name, answer in answers.items() for lower in answer["below"])
 
     def node_state(self, status: LaunchStatus, name: str) -> Answer:
         """What a node believes. Raises `HieraxError` if there is no such node, or its process does not answer."""
         status.check_node(name)
-        answer = self.ask_nodes(status, {"look": "state"}, [name]).get(name)
+        found, unread = self._answers(status, {"look": "state"}, [name])
+        if unread:
+            raise AnswerError(f"{name}: its process gave an answer that cannot be read")
+        answer = found.get(name)
         if answer is None:
             state = status.nodes[name]["state"]
             raise TransportError(f"{name}: its process does not answer; the launch says that it is {state}")
@@ -189,14 +193,11 @@ class LaunchClient:
 
     def roster(self, status: LaunchStatus) -> Roster:
         """The roster in force. Raises `HieraxError` if the world's process does not tell it."""
-        told = [each.get("roster") for each in self.ask_nodes(status, {"look": "roster"}, status.nodes).values()]
+        told = [each["roster"] for each in self.ask_nodes(status, {"look": "roster"}, status.nodes).values()]
         found = [each for each in told if each is not None]
         if not found:
             raise TransportError(f"the launch at {self.endpoint} does not tell its roster")
-        try:
-            return Roster.read(found[0])
-        except SchemaError as error:
-            raise AnswerError(f"the launch at {self.endpoint} gave a roster that cannot be read: {error}") from error
+        return Roster.read(found[0])
 
     def answers_of(
         self, question: Value, names: Collection[str], timeout_s: float = NODES_TIMEOUT_S
@@ -243,6 +244,19 @@ class LaunchClient:
     def __exit__(self, *raised: object) -> None:
         self.close()
 
+    def _answers(
+        self, status: LaunchStatus, question: Mapping[str, Value], names: Collection[str]
+    ) -> tuple[dict[str, Answer], list[str]]:
+        """What the processes that have nodes' places answer, and the nodes whose one answers, but in no shape that was
+        asked for."""
+        told = {
+            name: [each for each in answers if _is_of(each, status.nodes[name]["process"])]
+            for name, answers in self.answers_of(question, names).items()
+        }
+        look = str(question["look"])
+        found = {name: each for name, answers in told.items() for each in answers if is_answer(look, each)}
+        return found, [name for name, answers in told.items() if answers and name not in found]
+
     def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
         try:
             yield from answers_on(self._session, key, question, timeout_s)
@@ -265,6 +279,10 @@ class LaunchClient:
                 return Keys(hierarchy, run)
             time.sleep(LOOK_AGAIN_S)
         raise TransportError(f"the launch at {self.endpoint} does not answer")
+
+
+def _is_of(answer: Value, process: str) -> bool:
+    return isinstance(answer, dict) and answer.get("process") == process
 
 
 def _self() -> str:
@@ -302,4 +320,9 @@ def _answers(endpoint: str) -> bool:
 
 
 def _knock(endpoint: str) -> None:
-    socket.create_connection(address_of(endpoint), timeout=KNOCK_TIMEOUT_S).close()
+    """Open a connection, and close it. Raises `OSError` if there is none to be had, also where no machine can have such
+    a name, or no program such a port."""
+    try:
+        socket.create_connection(address_of(endpoint), timeout=KNOCK_TIMEOUT_S).close()
+    except (ValueError, OverflowError) as error:
+        raise OSError(f"{endpoint} is no address: {error}") from error

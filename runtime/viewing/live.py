@@ -1,5 +1,6 @@
 """Seeing a run in this process, or a launch, which waits for nobody: what cannot be shown in time is left out."""
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable
@@ -7,6 +8,7 @@ from dataclasses import dataclass
 from math import ceil
 from threading import Event
 
+from hierax.runtime.core.probe import Step
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.execution import single
@@ -18,12 +20,15 @@ from hierax.runtime.transport.port import TransportError
 from hierax.runtime.viewing.presenter import ViewPresenter
 from hierax.runtime.viewing.views import ShownNodes
 from hierax.runtime.watch.watcher import Watcher, read_step
+from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import STEP
 from hierax.schemas.roster import Roster
 
 MOST_EPOCHS_PER_S = 30.0  # how many epochs are shown; a quicker launch is shown every second, third, … epoch
 ASK_EVERY_S = 1.0  # nodes tell their steps for some seconds after they were asked
 STEPS_WAITING = 512  # how many steps wait to be shown; of more than that, the oldest are forgotten
+
+_log = logging.getLogger("hierax")
 
 
 def show_launch(
@@ -73,7 +78,7 @@ class _Inbox:
         self._came = Event()
 
     def put(self, key: str, data: bytes) -> None:
-        self._waiting.append((key.rpartition("/")[2], data))
+        self._waiting.append((key.split("/")[-2], data))  # who says it: anything may stand behind that
         self._came.set()
 
     def take(self, timeout_s: float) -> list[tuple[str, bytes]]:
@@ -91,6 +96,7 @@ class _Stage:
         self._nodes = ShownNodes(allowance)
         self._roster: Roster | None = None
         self._last: tuple[int, int] | None = None
+        self._has_warned = False
         self.shown = 0
 
     def set_roster(self, roster: Roster | None) -> None:
@@ -104,7 +110,10 @@ class _Stage:
         for name, data in steps:
             if self._roster is None or name not in self._roster.nodes:
                 continue  # of a roster that this one has not been told of yet
-            done_ns, step = read_step(data)
+            told = self._told(name, data)
+            if told is None:
+                continue
+            done_ns, step = told
             if name == self._roster.world:
                 if self._last is not None and step.epoch > self._last[0]:  # where some are left out, their mean
                     took_s = (done_ns - self._last[1]) / 1e9 / (step.epoch - self._last[0])
@@ -112,6 +121,16 @@ class _Stage:
                 self._last = (step.epoch, done_ns)
             self._presenter.step(name, self._nodes.node(self._roster, name), step)
             self.shown += 1
+
+    def _told(self, name: str, data: bytes) -> tuple[int, Step] | None:
+        """When a node did a step, and that; None: what came on its key is none, which is said once."""
+        try:
+            return read_step(data)
+        except SchemaError as error:
+            if not self._has_warned:
+                _log.warning("%s: not shown, as all else that is no step: %s", name, error)
+            self._has_warned = True
+            return None
 
 
 def run_seen(deployment: Deployment, presenter: ViewPresenter, *, epochs: int | None, seed: int) -> Report:

@@ -1,14 +1,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Collection, Iterator
+from typing import Any, cast
 
 import pytest
 from support.live import Live
 
-from hierax.runtime.commands.echo import line
+from hierax.runtime.commands.echo import echoes, line
 from hierax.runtime.commands.main import main
 from hierax.runtime.tools.echoes import Echo
-from hierax.schemas.messages import CONTEXT, Header, Message
+from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
+from hierax.schemas.keys import STEP, Keys
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message, encode_message
+from hierax.schemas.values import encode_value
+
+KEYS = Keys("shown", "5f")
 
 
 def test_messages_as_lines_of_json(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,3 +62,57 @@ def test_gaps_and_attempts_are_told() -> None:
     assert line(Echo(message, 77, 31.25, 4)) == (
         "ctx/top/arm epoch 12, attempt 2 (4 before it not seen): 31.25/s, 77 bytes\n  ['x']"
     )
+
+
+class Shown:
+    """A launch of ``world -> arm`` which shows these things, each on its key."""
+
+    def __init__(self, things: Collection[tuple[str, bytes]]) -> None:
+        self._things = things
+
+    def keys(self) -> Keys:
+        return KEYS
+
+    def status(self) -> LaunchStatus:
+        return LaunchStatus(KEYS.deployment, KEYS.run, 1, 0, {"world": {}, "arm": {}})
+
+    def edges(self, status: LaunchStatus) -> list[tuple[str, str]]:
+        return [("world", "arm")]
+
+    def ask_nodes(self, status: LaunchStatus, question: Any, names: Collection[str]) -> dict[str, Any]:
+        return {}
+
+    def listen(self, key: str, heard: Callable[[str, bytes], None]) -> None:
+        for each in self._things:
+            heard(*each)
+
+
+def test_who_shows_what_is_none_of_its_messages_is_not_listened_to(caplog: pytest.LogCaptureFixture) -> None:
+    def message(kind: str, sender: str, receiver: str, epoch: int) -> bytes:
+        return encode_message(Message(Header(kind, sender, receiver, epoch), ("x",)))
+
+    shown = [
+        (KEYS.seen(STEP, "arm", "arm"), encode_value({"done_ns": 1})),  # for a viewer
+        (KEYS.seen(OBSERVATIONS, "world", "arm"), message(OBSERVATIONS, "world", "arm", 1)),
+        (KEYS.seen(CONTEXT, "arm", "nobody"), message(OBSERVATIONS, "world", "arm", 2)),
+        (KEYS.seen(CONTEXT, "arm", "world"), message(OBSERVATIONS, "world", "arm", 3)),
+        (KEYS.seen(TASKS, "arm", "world"), b"junk"),
+        (KEYS.seen(TASKS, "arm", "world"), b""),
+        (KEYS.seen(CONTEXT, "arm", "world"), message(CONTEXT, "arm", "world", 4)),
+    ]
+    came: Iterator[Echo] = echoes(cast("LaunchClient", Shown(shown)), "**")
+    seen = [next(came).message.header for _ in range(2)]
+    assert seen == [Header(OBSERVATIONS, "world", "arm", 1), Header(CONTEXT, "arm", "world", 4)]
+    (warning,) = caplog.messages
+    assert warning.startswith("ctx/arm/world: left out, as all else that is no message of its key: message: expected")
+
+
+def test_somebody_who_views_the_launch_is_no_matter(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
+    came: list[str] = []
+    with LaunchClient(live.endpoint, secret=live.secret) as viewer:
+        viewer.listen(viewer.keys().seen(STEP, "*", "*"), lambda key, _: came.append(key))
+        status = viewer.status()
+        viewer.ask_nodes(status, {"look": "steps", "every": 1}, status.nodes)
+        assert main(["echo", "**", "-n", "100"]) == 0
+    assert came
+    assert capsys.readouterr().out.count(" epoch ") == 100

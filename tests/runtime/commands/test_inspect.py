@@ -1,17 +1,21 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 from support.live import Live
 
+from hierax.runtime.commands import inspect as inspecting
 from hierax.runtime.commands.inspect import as_json
 from hierax.runtime.commands.main import main
+from hierax.runtime.commands.which_launch import Meant
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Box, Curve, Things
+from hierax.runtime.transport.launch_client import LaunchStatus
 from hierax.runtime.viewing.recorded_run import Look
 
 
@@ -110,6 +114,53 @@ def test_a_node_that_there_is_not(live: Live, capsys: pytest.CaptureFixture[str]
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == f"error: there is no node 'hihg' in live, run {live.run['run']}; did you mean 'high'?\n"
+
+
+MOVES = "\x1b]0;owned\x07\x1b[2J\n"
+
+
+class Foreign:
+    """A launch whose node says what moves the cursor."""
+
+    def __init__(self, belief: Any) -> None:
+        self._belief = belief
+
+    def __enter__(self) -> Foreign:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def status(self) -> LaunchStatus:
+        return LaunchStatus("toys", "5163af85", 3, 0, {"arm": {"process": "a", "state": "running"}})
+
+    def node_state(self, status: LaunchStatus, name: str) -> dict[str, Any]:
+        step = Step(3, 0, 0.0, (), 1.0, (), (), MOVES, (), self._belief)._asdict()
+        about = {"class": f"a:{MOVES}", "below": [], "above": [], "committed": True, "policies": [MOVES]}
+        return {**about, **step, "before": None}
+
+
+@pytest.fixture
+def foreign(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inspecting, "launch_meant", lambda *_: Meant("tcp/127.0.0.1:1"))
+    monkeypatch.setattr(inspecting, "client_at", lambda _: Foreign({MOVES: MOVES, "long": ["x" * 90] * 2}))
+    shown = {MOVES: {MOVES: math.nan, "text": f"two\nlines {MOVES}"}}
+    monkeypatch.setattr(inspecting, "_told", lambda *_: shown)
+
+
+def test_what_a_node_says_moves_no_cursor(foreign: None, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", "arm"]) == 0
+    out = capsys.readouterr().out
+    assert all(line.isprintable() for line in out.splitlines())
+    written = r"\x1b]0;owned\x07\x1b[2J"
+    assert rf"class  a:{written}\n" in out.splitlines()
+    assert rf"policy  {written}\n (of {written}\n)" in out.splitlines()
+    assert out.endswith(f"\ntwo\nlines {written}\n\n")
+
+
+def test_a_figure_that_is_none_is_json(foreign: None, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", "arm", "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out)["shows"][MOVES][MOVES] == "NaN"
 
 
 @pytest.mark.parametrize(("full", "shown"), [(True, list), (False, dict)])

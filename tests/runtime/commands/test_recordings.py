@@ -10,6 +10,8 @@ import pytest
 from support.flawed import DEPLOYMENT, FLAW
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.commands.recordings import print_comparison
+from hierax.runtime.recording.diff import Comparison, Difference, RosterDifference
 
 
 @pytest.fixture
@@ -120,6 +122,22 @@ def test_diff_names_the_place(folder: Path, capsys: Capture, monkeypatch: pytest
     assert main(["diff", "a.mcap", "b.mcap", "--tolerance", "0.5", "--format", "json"]) == 0
     monkeypatch.delenv(FLAW)
     assert main(["diff", "b.mcap", "flawed.yaml", "--world", "recorded"]) == 1
+
+
+def test_what_strangers_have_recorded_moves_no_cursor(capsys: Capture) -> None:
+    moves = "\x1b]0;owned\x07\x1b[2J\n"
+    comparison = Comparison(
+        epochs=3,
+        difference=Difference(3, "arm", f"policy p{moves}", f"actions[0].{moves}", {moves: moves}, moves),
+        rosters=[RosterDifference(1, f"nodes.arm.parameters.{moves}", {moves: 1}, None)],
+    )
+    print_comparison(comparison, "a.mcap", "b.mcap")
+    lines = said(capsys).splitlines()
+    written = r"\x1b]0;owned\x07\x1b[2J\n"
+    assert lines[0] == f"rosters differ from epoch 1: nodes.arm.parameters.{written}"
+    assert lines[3] == f"first difference: epoch 3, arm, policy p{written}: actions[0].{written}"
+    assert all(line.isprintable() for line in lines)
+    assert len(lines) == 7
 
 
 def test_check_counts_what_it_has_checked(folder: Path, capsys: Capture) -> None:

@@ -50,6 +50,14 @@ def test_a_report_as_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert ["[bold]", "default", "count", "3,", "error_mean", "0.25", "{x:", "1}"] in [line.split() for line in lines]
 
 
+def test_what_a_node_says_moves_no_cursor(capsys: pytest.CaptureFixture[str]) -> None:
+    node = NodeReport({"x": 1.0}, "\x1b]0;owned\x07go", (), {"\x1b[2J": 1.0})
+    print_report(Report("toys", "run", 7, 2, bytes(32).hex(), 0.5, [0.25, 0.25], {"arm": node}))
+    out = capsys.readouterr().out
+    assert "\x1b" not in out
+    assert r"\x1b]0;owned\x07go" in out
+
+
 def test_a_run_of_no_epoch(capsys: pytest.CaptureFixture[str]) -> None:
     print_report(Report("toys", "run", 0, 0, bytes(32).hex(), 0.0, [], {}))
     assert capsys.readouterr().out.startswith(f"toys: run, seed 0, 0 epochs\ndigest: {'00' * 32}\n")

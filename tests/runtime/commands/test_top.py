@@ -98,6 +98,24 @@ def test_a_node_that_is_long_in_an_operator_and_one_that_is_silent() -> None:
     assert headline(counting).endswith(", roster version 1; world: passed_over 117, stalls 2")
 
 
+def test_what_nodes_say_moves_no_cursor() -> None:
+    from rich.console import Console
+
+    moves = "\x1b]0;owned\x07\x1b[2J\n"
+    arm = {
+        **LOOK["nodes"]["arm"],
+        "doing": f"in policy {moves} of arm",
+        "metrics": {moves: 1.0},
+        "waits_for": {moves: 1.0},
+    }  # type: ignore[index]
+    look = {**LOOK, "nodes": {"arm": arm}}
+    console = Console(width=400)
+    with console.capture() as capture:
+        console.print(table(look))
+    assert all(line.isprintable() for line in capture.get().splitlines())
+    assert headline(look).isprintable()
+
+
 def test_hosts_are_told_where_there_are_several() -> None:
     from rich.console import Console
 

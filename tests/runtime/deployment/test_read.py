@@ -160,6 +160,7 @@ MISTAKES = [
     ("epochs: 3", "start_timeout_s: 0", "start", "start_timeout_s: expected more than 0, got 0"),
     ("epochs: 3", "start_timeout_s: .inf", "start", "start_timeout_s: expected a finite number, got inf"),
     ("epochs: 3", "start_timeout_s: soon", "start", "start_timeout_s: expected a number, got 'soon'"),
+    ("epochs: 3", "certificates_s: 1e12", "certificates_s", "certificates_s: expected at most 3.1536e+08, got 1"),
     ("epochs: 3", "low_latency: 1", "low_latency", "low_latency: expected true or false, got 1"),
     ("epochs: 3", "low_latency: true\nstaleness: 1", "low_latency", "low_latency: goes with a staleness of 0 only"),
     ("epochs: 3", "zenoh: [a]", "zenoh", "zenoh: expected the path of a file, JSON5 text or a map, got ['a']"),

@@ -106,6 +106,15 @@ def test_an_edge_is_written_one_way() -> None:
         ("a: 18446744073709551616", "f:1: a: '18446744073709551616' is no !!int: expected a whole number of 64 bits"),
         ("a: " + "9" * 5000, "expected a whole number of 64 bits"),
         ('a: "\\ud800"', "is no !!str"),
+        (
+            'a: 1\nb: "\\U00110000"',
+            "f:2: no valid YAML: found a number that is too large; that of a character is 10FFFF",
+        ),
+        (
+            'a: 1\nb: "\\UFFFFFFFF"',
+            "f:2: no valid YAML: found a number that is too large; that of a character is 10FFFF",
+        ),
+        ("%YAML " + "9" * 5000 + "\n---\na: 1", "f:1: no valid YAML: found a number that is too large"),
         ("a: {<<: 1}", "f:1: a: '<<' takes a map, or a list of maps"),
         ("a: &x {<<: {b: 1}}\nc: {<<: *x}", "f:1: c: '<<' takes a map that has no '<<' itself"),
         ("a: &x {b: *x}", f"f:1: a.b.b.b: nested deeper than {MAX_DEPTH} levels"),
@@ -129,6 +138,8 @@ def test_a_place_without_lines() -> None:
     with pytest.raises(DeploymentError) as caught:
         read_tree("[1", "--set a=[1", has_lines=False)
     assert str(caught.value).startswith("--set a=[1: no valid YAML: expected ',' or ']', but got the end of the text")
+    with pytest.raises(DeploymentError, match=r"^--set a=…: no valid YAML: found a number that is too large"):
+        read_tree('"\\UFFFFFFFF"', "--set a=…", has_lines=False)
 
 
 def refusal(text: str) -> str:

@@ -16,9 +16,10 @@ from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.launch import inspection_server as desks
 from hierax.runtime.launch.inspection_server import LEASE_S, InspectionServer
 from hierax.runtime.transport.control import InspectionEndpoint
+from hierax.runtime.transport.node_answers import is_answer
 from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.roster import Reference, Roster
-from hierax.schemas.values import encode_value
+from hierax.schemas.values import decode_value, encode_value
 
 
 class FakeWindow:
@@ -55,7 +56,8 @@ class Room:
         self.window.asked.append({"look": look, **fields})
         self.inspection.serve()
         answer = self.window.answers.pop()
-        encode_value(answer)
+        heard = decode_value(encode_value(answer))
+        assert "process" not in answer or is_answer(look, heard), answer
         return answer
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Sequence
 from typing import Optional
 
@@ -49,6 +50,14 @@ class Unresolved:
 )
 def test_parameters_have_the_types_of_their_annotations(given: dict[str, object], told: tuple[str, str] | None) -> None:
     assert wrong_argument(Annotated, given) == told
+
+
+def test_annotations_that_have_no_hash_say_nothing() -> None:
+    def made(weights: [float] = (), gain: typing.Annotated[float, {"unit": "m"}] = 1.0, count: int = 0) -> None:  # type: ignore[valid-type]
+        pass
+
+    assert wrong_argument(made, {"weights": [1.0], "gain": 2.0}) is None
+    assert wrong_argument(made, {"weights": [1.0], "count": 0.5}) == ("count", "expected a whole number, got 0.5")
 
 
 def test_annotations_that_cannot_be_resolved_say_nothing() -> None:

@@ -74,6 +74,18 @@ def test_what_a_dead_process_was_sending_is_cut_short() -> None:
     assert [str(gap) for gap in ledger.cut_short] == ["epoch 4: obs message a -> b of attempt 0"]
 
 
+def test_epochs_are_committed_by_the_world_alone() -> None:
+    ledger = Ledger(from_start=False)
+    ledger.step(step("b", 1, 10**12, chain=b"x"))
+    ledger.step(step("a", 1, 1, chain=b"x"))
+    assert ledger.last == 0  # who the world is, is not known yet
+    ledger.expect(roster_of("a", "b"))
+    assert ledger.last == 1
+    ledger.step(step("b", 2, 10**12, chain=b"x"))
+    ledger.step(step("a", 2, 2, chain=b"x"))
+    assert ledger.last == 2
+
+
 def test_a_node_that_does_not_tell_to_the_end_is_named() -> None:
     ledger = Ledger(from_start=True)
     ledger.expect(roster_of("a", "b"))

@@ -3,8 +3,10 @@ from __future__ import annotations
 import pytest
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.tools.echoes import Counter, chosen, edges_of, short_key
-from hierax.schemas.messages import OBSERVATIONS, Header, Message
+from hierax.runtime.tools.echoes import Counter, chosen, edge_of, edges_of, message_of, short_key
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import Keys
+from hierax.schemas.messages import OBSERVATIONS, Header, Message, encode_message
 
 EDGES = edges_of([("world", "arm"), ("arm", "spatial")])
 
@@ -43,6 +45,17 @@ def test_what_fits_nothing_is_told(pattern: str) -> None:
         chosen(pattern, EDGES)
     with pytest.raises(HieraxError, match="did you mean 'obs/world/arm'"):
         chosen("obs/world/amr", EDGES)
+
+
+def test_a_message_is_of_the_edge_where_it_is_shown_or_none() -> None:
+    message = Message(Header(OBSERVATIONS, "world", "arm", 3), ("x",))
+    edge = edge_of(Keys("tracking", "5163af85").seen(*message.header.line))
+    assert message_of(edge, encode_message(message)) == message
+    for header in (message.header._replace(sender="arm"), message.header._replace(kind="ctx")):
+        with pytest.raises(SchemaError, match=r"expected what its key names, got '(obs/arm/arm|ctx/world/arm)'"):
+            message_of(edge, encode_message(Message(header, ("x",))))
+    with pytest.raises(SchemaError, match="does not begin like a message"):
+        message_of(edge, b"\x80")
 
 
 def test_rates_and_gaps_are_those_of_each_key() -> None:

@@ -1,10 +1,11 @@
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
 
-from hierax.runtime.commands.top import table
+from hierax.runtime.commands.top import headline, table
 from hierax.runtime.tools.rates import doing, overview, rates_between
 from hierax.runtime.transport.launch_client import LaunchStatus
 
@@ -110,6 +111,30 @@ def test_with_rates_it_is_told_what_counts_at_a_node() -> None:
     assert list(map(str, column.cells)) == ["", "side -, top 27"]
     plain = overview(SEEN, {}, {"mid": answer(4, 30)})
     assert "with" not in [column.header for column in table(plain).columns]
+
+
+def test_an_overview_of_figures_that_are_none_is_plain_json() -> None:
+    look = overview(SEEN, {}, {"mid": answer(4, 30, metrics={"error": float("nan"), "far": float("inf")})})
+    json.dumps(look, allow_nan=False)
+    assert headline(look).endswith("; mid: error nan, far inf")
+
+
+def test_work_of_which_a_node_says_nothing_is_none() -> None:
+    silent = answer(4, 30)
+    silent["meter"] = {**silent["meter"], "work_ns": {}}
+    assert rates_between(None, silent)["share"] == {
+        **dict.fromkeys(("observe", "policy", "predict", "edges", "act", "other"), 0.0),
+        "waiting": 0.75,
+    }
+    assert table(overview(SEEN, {}, {"mid": silent})).row_count == 2
+
+
+def test_of_several_that_say_they_have_the_worlds_pace_none_counts() -> None:
+    pace = {"period_ms": 10.0, "p50_ms": 0.0, "p99_ms": 0.0, "max_ms": 0.0, "late": 0, "skipped": 0, "epochs": []}
+    budget = {"budget_ms": 2.0, "over": 1, "max_ms": 3.0, "epochs": []}
+    paced, both = answer(4, 30, timing={"pace": pace}), answer(4, 30, timing={"pace": pace, "budget": budget})
+    assert "rate" in overview(SEEN, {}, {"mid": paced})["timing"]
+    assert overview(SEEN, {}, {"mid": paced, "low": both})["timing"].keys() == {"budgets"}
 
 
 def test_an_overview_of_nobody() -> None:

@@ -6,6 +6,8 @@ import pytest
 from hierax.runtime.tools.summary import SHOWN_ITEMS, in_line, tree
 from hierax.schemas.values import Value
 
+MOVES = "\x1b]0;owned\x07\x1b[2J\nx"
+
 
 @pytest.mark.parametrize(
     "value",
@@ -29,6 +31,14 @@ def test_short_values_take_a_line_and_long_ones_a_tree() -> None:
     assert lines[0] == "belief"
     assert lines[1] == "  pose  [" + ", ".join(["1"] * 30) + "]"
     assert lines[2] == "  image  uint8 480×640×3, 0 to 0, mean 0"
+
+
+@pytest.mark.parametrize("most", [None, 3])
+@pytest.mark.parametrize("value", [MOVES, {MOVES: 1}, [{"a": {MOVES: MOVES}}], {MOVES: "x" * 200}])
+def test_nothing_moves_the_cursor_or_begins_another_line(value: Value, most: int | None) -> None:
+    for line in (in_line(value, most), *tree(value, MOVES), *tree(value)):
+        assert line.isprintable()
+        assert r"\x1b]0;owned\x07\x1b[2J\nx" in line or "xxx" in line
 
 
 def test_long_lists_are_cut() -> None:

@@ -9,7 +9,8 @@ import pytest
 import zenoh
 from support.live import until
 
-from hierax.runtime.transport.bus_tap import BusTap
+from hierax.runtime.transport import bus_tap
+from hierax.runtime.transport.bus_tap import BEGINNING_BYTES, BusTap
 from hierax.runtime.transport.zenoh_session import close_session, free_endpoint, open_session
 from hierax.schemas.access import Access
 from hierax.schemas.keys import Keys, process_token
@@ -103,3 +104,28 @@ def test_one_that_is_closed_meanwhile_stays_closed(endpoint: str, speakers: list
     before = [each.said for each in speakers]
     until(lambda: all(each.said > said + 20 for each, said in zip(speakers, before, strict=True)), "more")
     assert tap.wait(0.0) == []
+
+
+def test_of_what_is_dropped_the_header_is_kept_and_of_too_much_the_key(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bus_tap, "QUEUE_BYTES", 1)
+    monkeypatch.setattr(bus_tap, "BEGINNINGS", 2)
+    hub = open_session((endpoint,))
+    tap = BusTap(endpoint, KEYS, Access("low", {name: (name,) for name in NAMES}))
+    key = KEYS.edge("obs", "low", "high")
+    try:
+        said = bytes(range(256)) * 32
+        until(lambda: hub.put(key, said) or tap._queue, "a message, which takes all room")
+        hub.put(KEYS.notes, said)
+        until(lambda: KEYS.notes in {each for each, _ in tap._dropped}, "the last one before those that count")
+        tap.dropped()
+        for number in range(4):
+            hub.put(key, bytes([number]) + said)
+        kept = dict.fromkeys(range(4), b"")
+        until(lambda: len(tap._dropped) == len(kept), "all dropped")
+        kept |= {number: bytes([number]) + said[: BEGINNING_BYTES - 1] for number in range(2)}
+        assert tap.dropped() == [(key, data) for data in kept.values()]
+    finally:
+        tap.close()
+        close_session(hub)

@@ -7,6 +7,7 @@ import pytest
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.transport.launch_client import LaunchClient, is_gone
+from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import free_endpoint
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value
@@ -26,6 +27,7 @@ class FakeClient(LaunchClient):
     def __init__(self, ps: Any = PS, **answers: list[Any]) -> None:
         self.endpoint = "tcp/127.0.0.1:1"
         self._keys = Keys("toys", "5163af85")
+        self._warned_of: set[str] = set()
         self._ps = ps
         self._told = answers
 
@@ -44,7 +46,26 @@ def test_only_the_process_that_has_the_place_counts() -> None:
         arm=[{"process": "old", "x": 1}, "nonsense", {"process": "new", "x": 2}], top=[{"process": "s"}]
     )
     status = client.status()
-    assert client.ask_nodes(status, {"look": "meter"}, status.nodes) == {"arm": {"process": "new", "x": 2}}
+    assert client.ask_nodes(status, {"look": "echo"}, status.nodes) == {"arm": {"process": "new", "x": 2}}
+
+
+def test_a_node_that_answers_something_else_is_left_out_and_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    client = FakeClient(arm=[{"process": "new", "below": 5}], top=[{"process": "t", "below": ["arm"]}])
+    for _ in range(3):
+        assert client.edges(client.status()) == [("arm", "top")]
+    assert caplog.messages == ["arm: left out, as its process gives answers that cannot be read"]
+
+
+def test_what_is_of_another_shape_takes_no_answer_away() -> None:
+    client = FakeClient(top=[{"process": "t", "below": ["arm"]}, {"process": "t", "below": 5}])
+    assert client.edges(client.status()) == [("arm", "top")]
+
+
+def test_a_roster_that_is_none_is_not_told(caplog: pytest.LogCaptureFixture) -> None:
+    client = FakeClient(arm=[{"process": "new", "roster": 5}], top=[{"process": "t", "roster": None}])
+    with pytest.raises(HieraxError, match="does not tell its roster"):
+        client.roster(client.status())
+    assert len(caplog.messages) == 1
 
 
 def test_edges_are_put_together_from_what_nodes_say() -> None:
@@ -67,6 +88,12 @@ def test_states_that_cannot_be_had(name: str, what: str) -> None:
     assert str(caught.value) == what
 
 
+def test_a_state_that_is_none() -> None:
+    client = FakeClient(arm=[{"process": "new", "epoch": 3}])
+    with pytest.raises(HieraxError, match=r"^arm: its process gave an answer that cannot be read$"):
+        client.node_state(client.status(), "arm")
+
+
 @pytest.mark.parametrize(("ps", "what"), [({"refusal": "no"}, "no"), ("hm", "no map: 'hm'"), ({}, "cannot be read")])
 def test_a_launch_that_answers_something_else(ps: Any, what: str) -> None:
     with pytest.raises(HieraxError, match=what):
@@ -77,3 +104,10 @@ def test_an_endpoint_where_nobody_listens_is_no_launch() -> None:
     endpoint = free_endpoint()
     assert is_gone(endpoint)
     assert not is_gone("tcp/not.a.host.invalid:7")
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/robot..local:7", f"tcp/{'a' * 64}.local:7", f"tcp/127.0.0.1:{'9' * 5000}"])
+def test_what_can_be_no_address_cannot_be_reached(endpoint: str) -> None:
+    assert not is_gone(endpoint)
+    with pytest.raises(TransportError, match=r"cannot be reached: [^;]*$"):
+        LaunchClient(endpoint, {"connect": {"timeout_ms": 100}})

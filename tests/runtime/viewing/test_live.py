@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from support.canvas import KeptCanvas
@@ -11,11 +13,17 @@ from support.launched import Command, until
 from support.pace import paced
 
 from hierax.runtime.core.showing import Graph
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.execution import single
 from hierax.runtime.launch.run_file import known_runs
 from hierax.runtime.loading.allowance import Allowance
-from hierax.runtime.transport.launch_client import LaunchClient
+from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 from hierax.runtime.viewing.live import MOST_EPOCHS_PER_S, show_launch, shown_every
 from hierax.runtime.viewing.presenter import ViewPresenter
+from hierax.runtime.watch.watcher import Stepper
+from hierax.schemas.keys import STEP, Keys
+from hierax.schemas.values import encode_value
 
 SNIPPET = """\
 nodes:
@@ -62,3 +70,49 @@ def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.Monk
         assert set(graph.nodes) == {"world", "camera", "motion", "second"}
         assert launch.process.returncode == 130, launch.err
         assert canvas.layouts
+
+
+class Shown:
+    """A launch which shows these steps, each on the key with these names."""
+
+    def __init__(self, deployment: Deployment, steps: Collection[tuple[str, str, bytes]]) -> None:
+        self._deployment, self._steps = deployment, steps
+
+    def keys(self) -> Keys:
+        return Keys(self._deployment.name, "5f")
+
+    def status(self) -> LaunchStatus:
+        return LaunchStatus(self._deployment.name, "5f", 1, 0, {name: {} for name in self._deployment.roster.nodes})
+
+    def ask_nodes(self, status: LaunchStatus, question: Any, names: Collection[str]) -> dict[str, Any]:
+        return {self._deployment.roster.world: {"roster": self._deployment.roster.plain()}}
+
+    def listen(self, key: str, heard: Callable[[str, bytes], None]) -> None:
+        for sender, receiver, data in self._steps:
+            heard(self.keys().seen(STEP, sender, receiver), data)
+
+
+def test_a_step_is_of_who_shows_it_and_junk_is_not_shown(caplog: pytest.LogCaptureFixture) -> None:
+    deployment = read_deployment("servo")
+    steppers: dict[str, Stepper] = {}
+
+    def watch(name: str, runner: Any) -> None:
+        runner.watch(steppers.setdefault(name, Stepper()))
+
+    single.run(deployment, epochs=3, seed=0, watch=watch)
+    steps = [(name, name, data) for name, stepper in steppers.items() for data in stepper.take()]
+    of_motion = [data for name, _, data in steps if name == "motion"]
+
+    def drawn(steps: Collection[tuple[str, str, bytes]]) -> dict[int, Any]:
+        canvas, allowance = KeptCanvas(), Allowance(("hierax.nodes.*",))
+        show_launch(cast("LaunchClient", Shown(deployment, steps)), ViewPresenter(canvas), allowance, lambda: True)
+        return canvas.plain()
+
+    expected = drawn(steps)
+    assert any("camera/belief" in things for things in expected.values())
+    assert drawn([*steps, *(("motion", "camera", data) for data in of_motion)]) == expected
+    assert not caplog.messages
+    junk = [b"junk", b"", encode_value({"done_ns": 1, "epoch": 3})]
+    assert drawn([*steps, *(("motion", "motion", data) for data in junk)]) == expected
+    (warning,) = caplog.messages
+    assert warning.startswith("motion: not shown, as all else that is no step: ")
