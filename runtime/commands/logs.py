@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, BinaryIO
 
 from hierax.runtime.commands.errors import printable
 from hierax.runtime.commands.options import Format, OutputFormat, option
@@ -25,6 +25,7 @@ Entry = dict[str, Any]
 _AGO = re.compile(r"(\d+(?:\.\d+)?)\s*([smhd])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 POLL_S = 0.2
+HEAD_BYTES = 256  # a log's first lines, with their times, are no other log's
 
 
 def find_folder(run: str | None) -> Path:
@@ -88,6 +89,19 @@ class LogFilter:
         return self.pattern is None or any(map(self.pattern.search, texts))
 
 
+@dataclass
+class _Place:
+    """How far a file was read."""
+
+    at: int = 0  # from this byte on it is new
+    head: bytes = b""  # how the file began: another one may be given its number when it is gone
+    look: int = 0  # the last one in which it was there
+
+    def is_in(self, size: int, head: bytes) -> bool:
+        """Whether it is a place in a file of this size that begins so; files only grow."""
+        return self.at <= size and head.startswith(self.head)
+
+
 class Reader:
     """Reads the files of a launch's logs, again and again, each time what is new. `folder`: of the launch; `audit`:
     whether who changed what is read, in place of all else."""
@@ -95,7 +109,8 @@ class Reader:
     def __init__(self, folder: Path, audit: bool = False) -> None:
         self._audit = audit
         self._logs = folder / LOGS
-        self._places: dict[int, int] = {}
+        self._places: dict[int, _Place] = {}  # by the files' numbers (inodes)
+        self._look = 0  # how often was read
 
     @property
     def names(self) -> list[str]:
@@ -108,21 +123,33 @@ class Reader:
     def read(self) -> list[Entry]:
         """What was written since the last time, in order of time."""
         entries: list[Entry] = []
+        self._look += 1
         for path in sorted(self._logs.glob(f"*{SUFFIX}*"), reverse=True):  # what was put aside before what was not
             if path.name.startswith(AUDIT) == self._audit:
                 entries += self._read(path)
+        # one that was put aside just now may have been found under neither name: it is there the next time
+        self._places = {number: place for number, place in self._places.items() if place.look >= self._look - 1}
         return sorted(entries, key=_time)
 
     def _read(self, path: Path) -> Iterator[Entry]:
         # it may be put aside just now: then it is read under its other name the next time
         with suppress(FileNotFoundError), path.open("rb") as file:
-            number = os.fstat(file.fileno()).st_ino  # a file that was put aside goes on where it was read to
-            file.seek(self._places.get(number, 0))
+            place = self._place_in(file)
+            file.seek(place.at)
             for line in file:
                 if not line.endswith(b"\n"):
                     return  # being written
-                self._places[number] = self._places.get(number, 0) + len(line)
+                place.at += len(line)
                 yield from _parsed(line)
+
+    def _place_in(self, file: BinaryIO) -> _Place:
+        """How far a file was read, also before it was put aside under another name."""
+        status, head = os.fstat(file.fileno()), file.read(HEAD_BYTES)
+        place = self._places.get(status.st_ino)
+        if place is None or not place.is_in(status.st_size, head):
+            place = self._places[status.st_ino] = _Place()
+        place.head, place.look = head, self._look
+        return place
 
 
 def _parsed(line: bytes) -> Iterable[Entry]:
@@ -136,7 +163,7 @@ def _parsed(line: bytes) -> Iterable[Entry]:
 def _time(entry: Mapping[str, Any]) -> datetime:
     try:
         return datetime.fromisoformat(entry["time"].replace("Z", "+00:00")).astimezone(timezone.utc)
-    except ValueError:
+    except (ValueError, OverflowError):  # the latter: in UTC it is in no year
         return datetime.min.replace(tzinfo=timezone.utc)
 
 
@@ -145,9 +172,17 @@ def _number(level: Any) -> int:
     return number if isinstance(number, int) else logging.INFO
 
 
+def _local(when: datetime) -> datetime:
+    """A time in the local zone; one that is in no year there as it is."""
+    try:
+        return when.astimezone()
+    except OverflowError:
+        return when
+
+
 def line(entry: Entry) -> str:
     """An entry as text: local time, level, node and epoch, message; a traceback below."""
-    clock = _time(entry).astimezone().strftime("%H:%M:%S.%f")[:-3]
+    clock = _local(_time(entry)).strftime("%H:%M:%S.%f")[:-3]
     node, process = entry.get("node", "?"), entry.get("process")
     where = f"{node if process in (None, node) else f'{process}/{node}'} epoch {entry.get('epoch', 0)}"
     text = f"{clock} {entry.get('level', '')} {where}: {entry.get('message', '')}"

@@ -1,15 +1,30 @@
 """Reading a recording, also one whose recorder was killed."""
 
+import os
 import struct
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.recording.info import ENDING_TEXTS, INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
-from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Entry, Fault, Topic, topic_of
+from hierax.runtime.recording.topics import (
+    EPOCH,
+    MESSAGE,
+    NOTE,
+    ROSTER,
+    STEP,
+    TOKEN,
+    Entry,
+    Fault,
+    Selection,
+    Topic,
+    topic_of,
+)
 from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
 from hierax.runtime.recording.writing import CHUNK_BYTES, ENDING, INFO, MAGIC, PROFILE, require_mcap
 from hierax.schemas.errors import SchemaError
@@ -21,6 +36,10 @@ from hierax.schemas.steps import NodeStep
 _LARGEST_RECORD = 1 << 30
 _LARGEST_CHUNK = CHUNK_BYTES + MAX_MESSAGE_BYTES + (1 << 16)
 """How many bytes an unpacked chunk may have: a recorder writes one as soon as it has more than `CHUNK_BYTES`."""
+
+_PREFIX = struct.Struct("<BQ")  # in front of a record: its kind, and how many bytes follow
+_MESSAGE = struct.Struct("<HIQQ")  # in front of a message's data
+_FOOTER_BYTES = _PREFIX.size + 20 + len(MAGIC)  # with what stands behind it, to the file's end
 
 
 @dataclass(frozen=True)
@@ -123,9 +142,19 @@ class Recording:
     def _assembled(self) -> Iterator[EpochTrace]:
         assembly = Assembly(self.info.how_stale, str(self.path))
         for entry in self.entries(MESSAGE, STEP, ROSTER, EPOCH):
+            if entry.topic.what == ROSTER:
+                self._check_world(entry)
             if self._read(entry, lambda entry=entry: assembly.take(entry)):
                 yield from assembly.ripe()
         yield from assembly.ripe(at_end=True)
+
+    def _check_world(self, entry: Entry) -> None:
+        """Raises `RecordingError` if the steps of a roster's world were left out."""
+        steps = f"steps/{self._read(entry, entry.roster).world}"
+        pattern = Selection(self.info.left_out).leaves_out(f"{entry.key.rpartition('/')[0]}/{steps}")
+        if pattern:
+            what = "no step of the world is recorded, so it is not known which epochs were committed"
+            raise RecordingError(f"{self.path}: {what}: {steps} was left out (--exclude {pattern})")
 
     def _read(self, entry: Entry, reads: Any) -> Any:
         try:
@@ -148,51 +177,161 @@ def _metadata(path: Path) -> tuple[RunInfo, Ending | None]:
 
 def _ending(path: Path) -> Ending | None:
     """How it ended, by the file's index, without going through all of it; None where there is no index."""
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
+    with path.open("rb") as file:
+        try:
+            metadata = _last_metadata(file)
+        except _damages():
+            return None
+    return None if metadata is None else Ending.read(from_metadata(metadata, ENDING_TEXTS))
 
-    with path.open("rb") as file, suppress(McapError, struct.error, UnicodeDecodeError):
-        if file.seek(0, 2) < 2 * len(MAGIC):
-            return None
-        file.seek(-len(MAGIC), 2)
-        if file.read() != MAGIC:
-            return None
-        file.seek(0)
-        for record in make_reader(file).iter_metadata():
-            if record.name == ENDING:
-                return Ending.read(from_metadata(record.metadata, ENDING_TEXTS))
-    return None
+
+def _last_metadata(file: BinaryIO) -> Mapping[str, str] | None:
+    """The metadata of the file's end, by its index, of which there may be gigabytes: of other records nothing is kept.
+    Raises one of `_damages`."""
+    from mcap.records import Footer, Metadata, MetadataIndex
+
+    if file.seek(0, os.SEEK_END) < _FOOTER_BYTES:
+        return None
+    file.seek(-len(MAGIC), os.SEEK_END)
+    if file.read() != MAGIC:
+        return None
+    file.seek(-_FOOTER_BYTES, os.SEEK_END)
+    footer = next(_walk(file), None)
+    if not isinstance(footer, Footer):
+        return None
+    file.seek(_metadata_begin(file, footer))
+    named = (each for each in _walk(file) if isinstance(each, (Metadata, MetadataIndex)) and each.name == ENDING)
+    found = next(named, None)
+    if isinstance(found, MetadataIndex):
+        file.seek(found.offset)
+        found = next(_walk(file), None)
+    return found.metadata if isinstance(found, Metadata) and found.name == ENDING else None
+
+
+def _metadata_begin(file: BinaryIO, footer: Any) -> int:
+    """Where what the index says of metadata begins; where it does not tell, the index, or else the file's records."""
+    from mcap.opcode import Opcode
+    from mcap.records import SummaryOffset
+
+    if footer.summary_offset_start:
+        file.seek(footer.summary_offset_start)
+        for record in _walk(file):
+            if isinstance(record, SummaryOffset) and record.group_opcode == Opcode.METADATA_INDEX:
+                return record.group_start
+    return footer.summary_start or len(MAGIC)
 
 
 def _records(path: Path) -> Iterator[Any]:
     """The file's records, those in chunks too, up to where it was cut off; `RecordingError` if it is damaged before."""
-    from mcap.exceptions import EndOfFile, McapError
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader, breakup_chunk
-    from zstandard import ZstdError
+    from mcap.records import Chunk, DataEnd
 
     with path.open("rb") as file:
         try:
-            for record in StreamReader(file, emit_chunks=True, record_size_limit=_LARGEST_RECORD).records:
+            file.seek(len(MAGIC))
+            for record in _walk(file):
                 if isinstance(record, Chunk):
-                    yield from breakup_chunk(_unpacked(record), validate_crc=True)
+                    yield from _in_chunk(_unpacked(record))
+                elif isinstance(record, DataEnd):
+                    return  # what follows is the index
                 else:
                     yield record
-        except (EndOfFile, struct.error):
-            return  # it was cut off
-        except (McapError, ValueError, RuntimeError, ZstdError) as error:
-            raise RecordingError(f"{path}: is damaged before byte {file.tell()}: {error}") from error
+        except _damages() as error:
+            what = str(error) or type(error).__name__
+            raise RecordingError(f"{path}: is damaged before byte {file.tell()}: {what}") from error
 
 
-def _unpacked(chunk: Any) -> Any:
-    """A chunk that is not compressed any more; `ValueError` if it is larger than it says, or than any may be."""
+def _damages() -> tuple[type[Exception], ...]:
+    """What is raised where a file does not hold what a recorder writes, or claims to hold more than there is room."""
+    from zstandard import ZstdError
+
+    return (ValueError, RuntimeError, OverflowError, MemoryError, ZstdError)
+
+
+class _Content(BytesIO):
+    """What is in a record, of which nothing can be read that is not there."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self._length = len(data)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        rest = self._length - self.tell()
+        if size is None or not 0 <= size <= rest:
+            raise ValueError(f"a field of {size} bytes in a record that has {rest} more")
+        return super().read(size)
+
+
+def _walk(file: BinaryIO) -> Iterator[Any]:
+    """The records of a file from where it is, but for those that nobody asks for, up to where it was cut off. Raises
+    `ValueError` if one is none."""
+    readers = _readers()
+    while len(head := file.read(_PREFIX.size)) == _PREFIX.size:
+        kind, length = _PREFIX.unpack(head)
+        if length > _LARGEST_RECORD:
+            raise ValueError(f"a record of {length} bytes; at most {_LARGEST_RECORD} are allowed")
+        if kind not in readers:
+            file.seek(length, os.SEEK_CUR)
+            continue
+        content = file.read(length)
+        if len(content) < length:
+            return
+        yield readers[kind](content)
+
+
+def _in_chunk(data: bytes) -> Iterator[Any]:
+    """The records of a chunk, one after the other; `ValueError` if one is none, or ends behind the chunk."""
+    readers, at = _readers(), 0
+    while at < len(data):
+        begins = at + _PREFIX.size
+        if begins > len(data):
+            raise ValueError(f"a chunk whose last record has {len(data) - at} bytes; expected {_PREFIX.size} at least")
+        kind, length = _PREFIX.unpack_from(data, at)
+        at = begins + length
+        if at > len(data):
+            raise ValueError(f"a record of {length} bytes in a chunk that has {len(data) - begins} more")
+        if kind in readers:
+            yield readers[kind](data[begins:at])
+
+
+@cache
+def _readers() -> Mapping[int, Callable[[bytes], Any]]:
+    """How a record is read from what is in it, of each kind that is asked for. Raises `ValueError` if it is none."""
+    from mcap import records
+    from mcap.data_stream import ReadDataStream
+    from mcap.opcode import Opcode
+
+    kinds = {
+        Opcode.HEADER: records.Header,
+        Opcode.FOOTER: records.Footer,
+        Opcode.CHANNEL: records.Channel,
+        Opcode.CHUNK: records.Chunk,
+        Opcode.METADATA: records.Metadata,
+        Opcode.METADATA_INDEX: records.MetadataIndex,
+        Opcode.SUMMARY_OFFSET: records.SummaryOffset,
+        Opcode.DATA_END: records.DataEnd,
+    }
+
+    def read(record: Any, content: bytes) -> Any:
+        return record.read(ReadDataStream(_Content(content)))
+
+    def message(content: bytes) -> Any:
+        if len(content) < _MESSAGE.size:
+            raise ValueError(f"a message of {len(content)} bytes; expected {_MESSAGE.size} at least")
+        channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(content)
+        return records.Message(channel, log_time, content[_MESSAGE.size :], publish_time, sequence)
+
+    return {Opcode.MESSAGE: message, **{kind: partial(read, record) for kind, record in kinds.items()}}
+
+
+def _unpacked(chunk: Any) -> bytes:
+    """What is in a chunk; `ValueError` if it is larger than it says, or than any may be, or something else."""
     from zstandard import ZstdDecompressor
 
     size = chunk.uncompressed_size
     if size > _LARGEST_CHUNK:
         raise ValueError(f"a chunk of {size} bytes; at most {_LARGEST_CHUNK} are allowed")
     if chunk.compression == "zstd":
-        data = ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+        data: bytes = ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
     elif chunk.compression == "lz4":
         from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
@@ -203,4 +342,6 @@ def _unpacked(chunk: Any) -> Any:
         data = chunk.data
     if len(data) != size:
         raise ValueError(f"a chunk says that it has {size} bytes, and has {'more' if len(data) > size else len(data)}")
-    return replace(chunk, compression="", data=data)
+    if chunk.uncompressed_crc and chunk.uncompressed_crc != zlib.crc32(data):
+        raise ValueError("a chunk has another sum of its bytes (CRC-32) than it says")
+    return data

@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -28,6 +29,7 @@ from hierax.runtime.recording.topics import (
 )
 from hierax.runtime.recording.writing import McapFile, Target
 from hierax.runtime.transport.port import Sample
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import DRAIN, GREETING, HELLO, Header
 from hierax.schemas.roster import Roster
@@ -37,7 +39,7 @@ from hierax.schemas.values import decode_value, encode_value
 if TYPE_CHECKING:
     from hierax.runtime.execution.runner import NodeRunner
 
-INDEX_BYTES = 64 << 10  # what the index at a file's end takes at most, where it has no more than some hundred channels
+ENDING_BYTES = 64 << 10  # what a file says at its end of how it ended, where no more than some hundred things lack
 
 HELD_BYTES = 64 << 20
 """How much may wait, in a recording that joins a run, for its first whole epoch; with more, all is written."""
@@ -104,20 +106,10 @@ class Recorder:
         topic = topic_of(key)
         if topic is None:
             return
-        if topic.what == MESSAGE:
-            seen, _ = glance(data)
-            self.ledger.message(seen.line, *seen.when)
-            what = f"{seen.kind} message {seen.sender} -> {seen.receiver}: the recorder could not keep up"
-            self.ledger.add(Gap(seen.epoch, what))
-        elif topic.what == STEP:
-            unpacker = msgpack.Unpacker()
-            unpacker.feed(data)
-            unpacker.read_array_header()
-            _, name, stream, number, epoch = (unpacker.unpack() for _ in range(5))
-            self.ledger.number(name, stream, number, epoch)
-            self.ledger.add(Gap(epoch, f"step of {name}: the recorder could not keep up"))
-        else:
-            self.ledger.add(Gap(self.ledger.last, f"{key}: the recorder could not keep up"))
+        epoch, what = self.ledger.last, key
+        with suppress(SchemaError):  # it may be junk, or its header longer than what is left of it: its key is known
+            epoch, what = self._dropped(topic, data) or (epoch, what)
+        self.ledger.add(Gap(epoch, f"{what}: the recorder could not keep up"))
 
     def flush(self) -> None:
         """Write what has waited for long enough. Raises `RecordingError` if the file cannot be written."""
@@ -166,11 +158,11 @@ class Recorder:
         if self.cut or (longest_s is None and most is None):
             return
         self._begun_ns = self._begun_ns or entry.time_ns
-        self._bytes += len(entry.data)
+        self._bytes = file.bulk
         if entry.epoch > self._newest:
             self._largest = max(self._largest, self._bytes - self._mark)
             self._newest, self._mark = entry.epoch, self._bytes
-            rest = 2 * self._largest + INDEX_BYTES  # the epoch that begins, and another one
+            rest = 2 * self._largest + ENDING_BYTES  # the epoch that begins, and another one
             if most is not None and file.size + rest > most:
                 file.flush(at_once=True)  # only then it is known what the compressed chunk takes
                 if file.size + rest > most:
@@ -180,13 +172,29 @@ class Recorder:
         if self.cut:
             self.ledger.end(max(self._newest, self.ledger.first))  # one whole epoch there is in any case
 
+    def _dropped(self, topic: Topic, data: bytes) -> tuple[int, str] | None:
+        """Epoch and name of a message or step, by its beginning, from now on accounted for; None: it is neither. Raises
+        `SchemaError` if it does not begin like one of its key."""
+        if topic.what == MESSAGE:
+            seen, _ = glance(data)
+            _check_key(topic, *seen.line)
+            self.ledger.message(seen.line, *seen.when)
+            return seen.epoch, f"{seen.kind} message {seen.sender} -> {seen.receiver}"
+        if topic.what == STEP:
+            name, stream, number, epoch = _glance_step(data)
+            _check_key(topic, "", name)
+            self.ledger.number(name, stream, number, epoch)
+            return epoch, f"step of {name}"
+        return None
+
     def _account(self, topic: Topic, heard: Sample) -> tuple[int, bytes]:
         """Epoch and bytes of what is recorded; an epoch below 0: it is not."""
         data = heard.data
         if topic.what == MESSAGE:
-            return self._on_message(data), data
+            return self._on_message(topic, data), data
         if topic.what == STEP:
             step = decode_step(data)
+            _check_key(topic, "", step.name)
             self.ledger.step(step)
             if self.checker is not None and (self.cut or self.ledger.wants(step.epoch)):
                 self.checker.step(step)
@@ -194,16 +202,17 @@ class Recorder:
         if topic.what == ROSTER:
             return self._on_roster(Roster.read(decode_value(data, "roster"))), data
         if topic.what == EPOCH:
-            epoch, _ = decode_value(data, "epoch")
-            return int(epoch), data
+            epoch, _ = Entry(heard.key, topic, heard.time_ns, 0, data).commit()
+            return epoch, data
         if topic.what == TOKEN:
             return 0, encode_value((*topic.names, heard.is_up))
         return 0, data
 
-    def _on_message(self, data: bytes) -> int:
+    def _on_message(self, topic: Topic, data: bytes) -> int:
         seen, _ = glance(data)
         if seen.kind == HELLO:
             return -1
+        _check_key(topic, *seen.line)
         if seen.epoch == GREETING:
             return 0
         wanted = self.ledger.wants(seen.epoch)
@@ -223,6 +232,28 @@ class Recorder:
         if self.checker is not None:
             self.checker.roster(roster)
         return 0
+
+
+def _check_key(topic: Topic, kind: str, *names: str) -> None:
+    """Who may put on a key is told by its names (`hierax.schemas.access`), so what comes there can be of nobody else.
+    Raises `SchemaError` if it says that it is; of a step the kind is empty."""
+    if (topic.kind, *topic.names) != (kind, *names):
+        named = "/".join((kind, *names) if kind else names)
+        raise SchemaError(f"expected what its key names, got {shown(named)}", topic.what)
+
+
+def _glance_step(data: bytes) -> tuple[str, str, int, int]:
+    """Name, stream, number and epoch of a step, by its beginning. Raises `SchemaError` if it begins otherwise."""
+    unpacker = msgpack.Unpacker(max_buffer_size=len(data))  # lengths that lie end here, before they take memory
+    unpacker.feed(data)
+    try:
+        unpacker.read_array_header()
+        _, name, stream, number, epoch = (unpacker.unpack() for _ in range(5))
+    except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
+        raise SchemaError(f"does not begin like a step: {data[:8].hex()}", STEP) from error
+    if tuple(map(type, (name, stream, number, epoch))) != (str, str, int, int) or min(number, epoch) < 0:
+        raise SchemaError("expected a name, a stream's token, a number and an epoch after the format", STEP)
+    return name, stream, number, epoch
 
 
 class InProcess:

@@ -1,8 +1,9 @@
 """What is on which key, how it is read, and how it is described in the file; and what of a run is recorded."""
 
 import json
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import lru_cache
@@ -209,21 +210,27 @@ def check_pattern(pattern: str) -> str:
 
 def read_size(text: str) -> int:
     """Bytes, such as ``500 MB`` or ``2GiB``. Raises `RecordingError` if it is no size."""
-    found = _measured(_SIZE, text, "--max-size", "a size, such as 500MB or 2GiB")
-    return int(float(found[1]) * (1024 if found[3] else 1000) ** _POWERS[found[2]])
+
+    def unit(found: re.Match[str]) -> float:
+        return float((1024 if found[3] else 1000) ** _POWERS[found[2]])
+
+    return int(_measured(_SIZE, unit, text, "--max-size", "a size, such as 500MB or 2GiB"))
 
 
 def read_duration(text: str, option: str = "--max-duration") -> float:
     """Seconds, such as ``90``, ``90s``, ``15m`` or ``2h``. Raises `RecordingError` if it is no time."""
-    found = _measured(_DURATION, text, option, "a time, such as 90s, 15m or 2h")
-    return float(found[1]) * _SECONDS[found[2]]
+    return _measured(_DURATION, lambda found: _SECONDS[found[2]], text, option, "a time, such as 90s, 15m or 2h")
 
 
-def _measured(pattern: re.Pattern[str], text: str, option: str, expected: str) -> re.Match[str]:
+def _measured(
+    pattern: re.Pattern[str], unit: Callable[[re.Match[str]], float], text: str, option: str, expected: str
+) -> float:
+    """A number and a unit; `RecordingError` if it is something else, nothing, or more than any number."""
     found = pattern.fullmatch(text.strip())
-    if found is None or not float(found[1]):
-        raise RecordingError(f"{option} {text}: expected {expected}")
-    return found
+    measured = 0.0 if found is None else float(found[1]) * unit(found)
+    if not 0 < measured < math.inf:
+        raise RecordingError(f"{option} {text:.80}: expected {expected}")
+    return measured
 
 
 def _fits(pattern: Sequence[str], names: Sequence[str]) -> bool:

@@ -19,7 +19,8 @@ from hierax.schemas.values import decode_value
 
 PENDING_BYTES = 256 << 20
 PENDING_EPOCHS = 20_000
-"""So much is kept while a node that has not told of an epoch may still do so: links may be far behind each other."""
+"""So much is kept while a node that has not told of an epoch may still do so: links may be far behind each other. With
+more, an epoch is given without what that node did, and older ones of which the world has told nothing are dropped."""
 
 Attempt = tuple[int, int]  # an epoch and which attempt of it
 Line = tuple[str, str, str]  # kind, sender and receiver
@@ -186,17 +187,15 @@ class Assembly:
             seen, _ = glance(entry.data)
             if seen.epoch == GREETING:
                 return False
-            pending = self._at(seen.epoch)
+            pending = self._at(seen.epoch, len(entry.data))
             pending.lines.setdefault(seen.line, {})[seen.attempt] = entry.data
-            pending.size += len(entry.data)
-            self._bytes += len(entry.data)
-            return False
+            return self._is_full
         if what == EPOCH:
             epoch, digest = entry.commit()
             self._at(epoch).digest = digest
-            return False
+            return self._is_full
         step = entry.step()
-        self._at(step.epoch).steps.setdefault(step.name, {})[step.attempt] = step
+        self._at(step.epoch, len(entry.data)).steps.setdefault(step.name, {})[step.attempt] = step
         self._told[step.name] = max(step.when, self._told.get(step.name, (0, 0)))
         under = self._rosters.get(step.roster)
         if under is not None and step.name == under.world:
@@ -221,9 +220,22 @@ class Assembly:
             self._digest = (self._next - 1, pending.digest if trace is None else trace.digest)
             if trace is not None:
                 yield trace
+        if self._is_full and not at_end:
+            self._drop()
+
+    @property
+    def _is_full(self) -> bool:
+        return self._bytes > PENDING_BYTES or len(self._pending) > PENDING_EPOCHS
+
+    def _drop(self) -> None:
+        """Drop the older half of the epochs of which the world has told nothing: perhaps it never will. One that it has
+        just done, and the one that follows, stay, however large they are."""
+        epochs = sorted(self._pending)
+        for epoch in epochs[: (len(epochs) - 1) // 2]:
+            self._bytes -= self._pending.pop(epoch).size
 
     def _is_ripe(self, pending: _Pending) -> bool:
-        if self._bytes > PENDING_BYTES or self._world >= self._next + PENDING_EPOCHS:
+        if self._is_full or self._world >= self._next + PENDING_EPOCHS:
             return True
         roster = self._roster(pending)
         if roster is None:
@@ -285,7 +297,11 @@ class Assembly:
                 return step._replace(state=step.start, sensed=b"", start=b"", digest=b"", passages=(), chain=b"")
         return None
 
-    def _at(self, epoch: int) -> _Pending:
+    def _at(self, epoch: int, size: int = 0) -> _Pending:
+        """What is known of an epoch, of which there are so many bytes more."""
         if epoch < self._next:
             return _Pending()  # it comes too late
-        return self._pending.setdefault(epoch, _Pending())
+        pending = self._pending.setdefault(epoch, _Pending())
+        pending.size += size
+        self._bytes += size
+        return pending

@@ -1,15 +1,13 @@
 """Writing a recording: an MCAP file, one channel per key, chunks that are whole on disk soon."""
 
 import os
-import struct
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo, to_metadata
@@ -24,8 +22,6 @@ CHUNK_S = 1.0
 chunk, as a message and in a belief, takes its room once."""
 
 KEPT_BYTES = 64 << 20  # how much waits for the first epoch to be committed; with more, what was in the file is gone
-_PREFIX_BYTES = 9  # in front of a record: its kind and its length, which does not count them
-ZSTD_LEVEL = 1  # the level of Zstandard; the default, 3, takes four times as long for images, for 7 % less
 
 
 @dataclass(frozen=True)
@@ -82,9 +78,6 @@ class _Late:
             self.begin()
         return (self._file if self._kept is None else self._kept).write(data)
 
-    def tell(self) -> int:
-        return (self._file if self._kept is None else self._kept).tell()
-
     def flush(self) -> None:
         self._file.flush()
 
@@ -102,17 +95,19 @@ class McapFile:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._dirty_s: float | None = None
-        self._written = self._pending = 0
+        require_mcap()
+        from hierax.runtime.recording.mcap_writer import McapWriter
+
         with self._mapped():
             descriptor = os.dup(path.descriptor) if isinstance(path, Target) else open_result(path)
             self._file = _Late(os.fdopen(descriptor, "wb"))
             if not isinstance(path, Target):
                 self._file.begin()
-            self._writer = _writer(self._file)
-            self._writer.start(PROFILE, f"hierax {info.versions.get('hierax', '')}")
+            library = f"hierax {info.versions.get('hierax', '')}"
+            self._writer = McapWriter(self._file, self._path.parent, CHUNK_BYTES, PROFILE, library)
             self._writer.add_metadata(INFO, to_metadata(info.plain()))
             text = info.deployment_text.encode()
-            self._writer.add_attachment(info.started_ns, info.started_ns, "deployment.yaml", "application/yaml", text)
+            self._writer.add_attachment(info.started_ns, "deployment.yaml", "application/yaml", text)
             self._writer.flush()
 
     def begin(self) -> None:
@@ -127,22 +122,23 @@ class McapFile:
         try:
             if entry.key not in self._channels:
                 self._channels[entry.key] = self._register(entry.key, entry.topic.what)
-            channel, time_ns = self._channels[entry.key], entry.time_ns
-            self._writer.add_message(channel, time_ns, entry.data, time_ns, entry.epoch & 0xFFFFFFFF)
+            channel = self._channels[entry.key]
+            self._writer.add_message(channel, entry.time_ns, entry.data, entry.epoch & 0xFFFFFFFF)
         except OSError:
             with self._mapped():
                 raise
-        self._pending += len(entry.data)
         if self._dirty_s is None:
             self._dirty_s = time.monotonic()
 
     @property
     def size(self) -> int:
-        """How many bytes it takes, at most, if it is closed now but for its index."""
-        written = self._file.tell()
-        if written != self._written:
-            self._written, self._pending = written, 0
-        return written + self._pending
+        """How many bytes it takes, at most, with its index, if it is closed now; but for how it ended."""
+        return self._writer.size
+
+    @property
+    def bulk(self) -> int:
+        """How many bytes all that was added would take, at most, with its index, if nothing became less."""
+        return self._writer.bulk
 
     def flush(self, at_once: bool = False) -> None:
         """Write the chunk under way, if it is old enough. Raises `RecordingError` if the file cannot be written."""
@@ -165,40 +161,15 @@ class McapFile:
         if what not in self._schemas:
             name, text = schema_of(what)
             self._schemas[what] = self._writer.register_schema(name, "jsonschema", text)
-        channel: int = self._writer.register_channel(key, "msgpack", self._schemas[what], {"what": what})
-        return channel
+        return self._writer.register_channel(key, "msgpack", self._schemas[what], {"what": what})
 
     def _mapped(self) -> AbstractContextManager[None]:
         return errors_named(self._path, kind=RecordingError)
 
 
-def _writer(file: Any) -> Any:
-    require_mcap()
-    import mcap.writer
-    from mcap.opcode import Opcode
-    from mcap.records import Message
-    from mcap.writer import CompressionType, Writer
-    from zstandard import ZstdCompressor
-
-    head = struct.Struct("<BQHIQQ")
-
-    class Packed(Message):
-        """A message that is written at once, and not field by field, which takes ten times as long."""
-
-        def write(self, stream: Any) -> None:
-            length = head.size - _PREFIX_BYTES + len(self.data)
-            rest = (self.channel_id, self.sequence, self.log_time, self.publish_time)
-            stream.write(head.pack(Opcode.MESSAGE, length, *rest) + self.data)
-
-    compressing = SimpleNamespace(compress=lambda data: ZstdCompressor(level=ZSTD_LEVEL).compress(data))
-    setattr(mcap.writer, "zstandard", compressing)  # noqa: B010 - the writer has no option for the level
-    setattr(mcap.writer, "Message", Packed)  # noqa: B010 - nor for this
-    return Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-
-
 def require_mcap() -> None:
     """See that recordings can be written and read. Raises `RecordingError` if the package lacks."""
     try:
-        import mcap.writer  # noqa: F401
+        import mcap.records  # noqa: F401
     except ModuleNotFoundError as error:
         raise RecordingError("recordings need the package mcap: pip install 'hierax[record]'") from error

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import random
+import struct
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import pytest
 from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
+from hierax.runtime.commands.main import main
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Replay, allowance_of
-from hierax.runtime.recording.topics import MESSAGE, STEP, glance, topic_of
-from hierax.runtime.recording.writing import McapFile
+from hierax.runtime.recording.topics import MESSAGE, STEP, Entry, Topic, glance, topic_of
+from hierax.runtime.recording.trace import Assembly
+from hierax.runtime.recording.writing import ENDING, INFO, MAGIC, McapFile
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, Header, Message, encode_message
 from hierax.schemas.steps import encode_step
@@ -154,6 +159,212 @@ def test_damage_before_the_end_is_named(chunked: Path, tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(RecordingError, match=r"damaged\.mcap: is damaged before byte \d+"):
         list(Recording.open(path).entries())
+
+
+PREFIX = struct.Struct("<BQ")
+"""What is in front of a record: its kind, and how many bytes follow."""
+
+MESSAGE_RECORD, CHUNK_RECORD, UNKNOWN_RECORD = 0x05, 0x06, 0x80
+
+
+def before_chunks(data: bytes) -> bytes:
+    """What is in a recording before its first chunk."""
+    at = len(MAGIC)
+    while data[at] != CHUNK_RECORD:
+        at += PREFIX.size + PREFIX.unpack_from(data, at)[1]
+    return data[:at]
+
+
+def chunk(content: bytes, length: int | None = None) -> bytes:
+    """A chunk that is not compressed, and says that its data have a length."""
+    head = struct.pack("<QQQIIQ", 0, 0, len(content), 0, 0, len(content) if length is None else length)
+    return PREFIX.pack(CHUNK_RECORD, len(head) + len(content)) + head + content
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        chunk(bytes(64), length=1 << 63),
+        chunk(bytes(64), length=1 << 40),
+        chunk(bytes(64), length=65),
+        chunk(PREFIX.pack(UNKNOWN_RECORD, (1 << 64) - 1) + bytes(64)),
+        chunk(PREFIX.pack(UNKNOWN_RECORD, 1 << 40) + bytes(64)),
+        chunk(PREFIX.pack(MESSAGE_RECORD, 1 << 40) + bytes(64)),
+        chunk(PREFIX.pack(MESSAGE_RECORD, 3) + bytes(64)),
+        chunk(bytes(5)),
+        PREFIX.pack(MESSAGE_RECORD, 3) + bytes(64),
+        PREFIX.pack(UNKNOWN_RECORD, (1 << 64) - 1) + bytes(64),
+    ],
+    ids=lambda damaged: damaged[:80].hex().rstrip("0")[-40:],
+)
+def test_lengths_that_are_none_are_damage(
+    recording: Recording, damaged: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(before_chunks(recording.path.read_bytes()) + damaged + chunk(bytes(PREFIX.size)))
+    assert main(["check", str(path)]) == 1
+    (said,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("error: "))
+    assert said.startswith(f"error: {path}: is damaged before byte ")
+    assert len(said) < 300
+
+
+def test_of_a_chunk_one_message_at_a_time_is_in_memory(recording: Recording, tmp_path: Path) -> None:
+    empty = PREFIX.pack(MESSAGE_RECORD, 22) + bytes(22)
+    content = empty * 100_000
+    path = tmp_path / "many.mcap"
+    path.write_bytes(before_chunks(recording.path.read_bytes()) + chunk(content))
+    many = Recording.open(path)
+    tracemalloc.start()
+    try:
+        assert list(many.entries()) == []  # of no channel
+        assert tracemalloc.get_traced_memory()[1] < 3 * len(content)
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_index_takes_no_memory_however_many_chunks_there_are(recording: Recording, tmp_path: Path) -> None:
+    chunks, channels = 3000, 20
+    file = McapFile(tmp_path / "long.mcap", recording.info)
+    keys = [f"hierax/d/r/obs/world/{number}" for number in range(channels)]
+    topic = Topic(MESSAGE, "obs", ("world", "arm"))
+
+    def write(epochs: range) -> None:
+        for epoch in epochs:
+            for key in keys:
+                file.add(Entry(key, topic, epoch, epoch, b"x"))
+            file.flush(at_once=True)
+
+    write(range(1, 101))
+    tracemalloc.start()
+    try:
+        write(range(101, chunks + 1))
+        bound = file.size
+        assert tracemalloc.get_traced_memory()[0] < 1_500_000  # it was 1.6 kB a chunk
+        assert recording.ending is not None
+        file.close(recording.ending)
+        assert tracemalloc.get_traced_memory()[1] < 4_000_000
+    finally:
+        tracemalloc.stop()
+    size = (tmp_path / "long.mcap").stat().st_size
+    assert abs(size - bound) < 2000  # but for how it ended
+    assert [each.name for each in tmp_path.iterdir()] == ["long.mcap"]
+    assert Recording.open(tmp_path / "long.mcap").ending == recording.ending
+
+
+def test_other_programs_find_messages_by_the_index(chunked: Path) -> None:
+    from mcap.reader import make_reader
+    from mcap.records import Footer, MessageIndex
+    from mcap.stream_reader import StreamReader
+
+    data = chunked.read_bytes()
+    with chunked.open("rb") as file:
+        records = list(StreamReader(file, emit_chunks=True, validate_crcs=True).records)
+        file.seek(0)
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 10
+        assert [each.name for each in reader.iter_metadata()] == [INFO, ENDING]
+        assert [each.name for each in reader.iter_attachments()] == ["deployment.yaml"]
+        topics = {channel.id: channel.topic for channel in summary.channels.values()}
+        written = list(Recording.open(chunked).entries())
+        assert summary.statistics.message_count == len(written)
+        assert len(list(reader.iter_messages())) == len(written)
+        for number, topic in topics.items():
+            wanted = [entry.data for entry in written if entry.key == topic]
+            assert [message.data for _, _, message in reader.iter_messages([topic])] == wanted
+            assert summary.statistics.channel_message_counts[number] == len(wanted)
+    for index in summary.chunk_indexes:
+        assert data[index.chunk_start_offset] == CHUNK_RECORD
+        assert index.message_index_offsets
+        for number, at in index.message_index_offsets.items():
+            assert data[at + PREFIX.size : at + PREFIX.size + 2] == struct.pack("<H", number)
+        assert sum(offset < index.chunk_start_offset for offset in index.message_index_offsets.values()) == 0
+    counts = [len(record.records) for record in records if isinstance(record, MessageIndex)]
+    assert sum(counts) == len(written)
+    footer = records[-1]
+    assert isinstance(footer, Footer)
+    assert zlib.crc32(data[footer.summary_start : -len(MAGIC) - 4]) == footer.summary_crc
+
+
+@pytest.mark.parametrize("options", [{"use_summary_offsets": False}, {"use_statistics": False, "use_chunking": False}])
+def test_how_it_ended_is_found_in_what_others_have_written_anew(
+    recording: Recording, options: dict[str, bool], tmp_path: Path
+) -> None:
+    from mcap.records import Metadata
+    from mcap.stream_reader import StreamReader
+    from mcap.writer import Writer
+
+    path = tmp_path / "anew.mcap"
+    with recording.path.open("rb") as file, path.open("wb") as other:
+        writer = Writer(other, **options)  # type: ignore[arg-type]
+        writer.start("hierax", "somebody")
+        for record in StreamReader(file).records:
+            if isinstance(record, Metadata):
+                writer.add_metadata(record.name, record.metadata)
+        channels: dict[str, int] = {}
+        for entry in recording.entries():
+            if entry.key not in channels:
+                channels[entry.key] = writer.register_channel(entry.key, "msgpack", 0)
+            writer.add_message(channels[entry.key], entry.time_ns, entry.data, entry.time_ns, entry.epoch)
+        writer.finish()
+    anew = Recording.open(path)
+    assert anew.ending == recording.ending
+    assert list(anew.entries()) == list(recording.entries())
+
+
+def without_steps_of(recording: Recording, name: str) -> list[Entry]:
+    return [each for each in recording.entries() if each.topic.what != STEP or each.topic.names != (name,)]
+
+
+def test_without_steps_of_the_world_memory_has_a_bound(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is too much is dropped, the oldest first; where the world tells later, the rest is there."""
+    entries = without_steps_of(recording, "world")
+    monkeypatch.setattr("hierax.runtime.recording.trace.PENDING_BYTES", sum(len(each.data) for each in entries) // 2)
+    assembly = Assembly(recording.info.how_stale)
+    for entry in entries:
+        assembly.take(entry)
+        assert list(assembly.ripe()) == []
+    for entry in recording.entries(STEP):
+        if entry.topic.names == ("world",):
+            assembly.take(entry)
+    epochs = list(assembly.ripe(at_end=True))
+    assert [each.epoch for each in epochs] == list(range(1, 13))
+    lacking = [bool(each.lacking) for each in epochs]
+    assert 3 <= sum(lacking) <= 9
+    assert lacking == sorted(lacking, reverse=True)
+
+
+def test_so_it_has_where_the_world_tells_nothing_any_more(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hierax.runtime.recording.trace.PENDING_EPOCHS", 4)
+    assembly = Assembly(recording.info.how_stale)
+    found = []
+    late = [each for each in recording.entries(STEP) if each.topic.names == ("world",) and each.epoch > 2]
+    for entry in [each for each in recording.entries() if each not in late] + late:
+        assembly.take(entry)
+        found += assembly.ripe()
+    found += assembly.ripe(at_end=True)
+    assert [each.epoch for each in found] == list(range(1, 13))
+    assert [each.epoch for each in found if not each.lacking][:2] == [1, 2]
+    assert not found[-1].lacking
+    assert any(each.lacking for each in found)
+
+
+def test_where_the_worlds_steps_were_left_out_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "part.mcap"
+    for pattern in ("steps/world", "steps/*"):
+        options = ["--epochs", "3", "--record", str(path), "--exclude", pattern, "--overwrite"]
+        assert main(["run", "servo", *options]) == 0
+        capsys.readouterr()
+        for command in (["replay", str(path)], ["diff", str(path), "servo"], ["diff", str(path), str(path)]):
+            assert main(command) == 1
+            assert capsys.readouterr().err.splitlines()[-1] == (
+                f"error: {path}: no step of the world is recorded, so it is not known which epochs were committed: "
+                f"steps/world was left out (--exclude {pattern})"
+            )
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def test_a_pattern_that_fits_no_key_is_refused(pattern: str) -> None:
 def test_sizes_and_times() -> None:
     assert [read_size(text) for text in ("500", "1.5 kB", "500MB", "2GiB")] == [500, 1500, 500_000_000, 2 << 30]
     assert [read_duration(text) for text in ("90", "1.5s", "15m", "2h")] == [90.0, 1.5, 900.0, 7200.0]
-    for text in ("", "0", "-1", "ten", "3 parsec", "1e9"):
+    for text in ("", "0", "-1", "ten", "3 parsec", "1e9", "9" * 400):
         with pytest.raises(RecordingError, match=r"--max-size .*: expected a size"):
             read_size(text)
         with pytest.raises(RecordingError, match=r"--max-duration .*: expected a time"):
@@ -92,6 +92,25 @@ def test_a_recording_ends_before_it_is_too_large(tmp_path: Path, capsys: Capture
     assert [epoch.epoch for epoch in epochs] == list(range(1, last + 1))
     assert all(not epoch.lacking for epoch in epochs)
     assert main(["replay", str(recording.path), "--verify"]) == 0
+
+
+def test_an_index_of_many_chunks_counts_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hierax.runtime.recording.writing.CHUNK_S", 0.0)  # a chunk for each epoch
+    most = 1_000_000
+    recording = recorded(tmp_path / "first.mcap", "--max-size", "1MB", epochs=5000)
+    assert recording.ending is not None
+    assert 10 < recording.ending.last < 5000
+    assert most / 2 < recording.path.stat().st_size <= most
+    assert len(recording.digests()) == recording.ending.last
+
+
+def test_what_is_no_finite_size_is_one_line(capsys: Capture, tmp_path: Path) -> None:
+    for size in ("9" * 400, f"{'9' * 300}TB"):
+        assert main(["run", "servo", "--record", str(tmp_path / "x.mcap"), "--max-size", size]) == 1
+        said = capsys.readouterr().err
+        assert said.startswith("error: --max-size 9999")
+        assert said.endswith(": expected a size, such as 500MB or 2GiB\n")
+        assert len(said) < 200
 
 
 def test_a_recording_ends_in_time(tmp_path: Path) -> None:
