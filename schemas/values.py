@@ -27,7 +27,8 @@ _SURE = frozenset({NoneType, bool, float, bytes})
 _CONTAINER = 1
 _MARKS = bytes(_CONTAINER * (0x80 <= byte <= 0x9F or 0xDC <= byte <= 0xDF) for byte in range(256))
 _STAMP = 0xFF
-_LEAVES = _SURE | {int, str, np.ndarray}
+_PLAIN = _SURE | {int, str}
+_LEAVES = _PLAIN | {np.ndarray}
 _NOTHING = ()
 
 _unpackb = msgpack.unpackb
@@ -238,6 +239,36 @@ def is_sound(value: Any, depth: int) -> bool:
                 if type(entry) not in _LEAVES and not is_sound(entry, depth + 2):
                     return False
         elif not is_sound(part, depth + 1):
+            return False
+    return True
+
+
+def plain(value: Value) -> Value:
+    """A value as whoever has read its bytes has it, so that it makes no difference who goes on with it; what cannot
+    travel as it is: that is told where it is sent.
+
+    A number of numpy's is a Python number then, which takes another part in numpy's choice of dtypes; and an array that
+    had another order may add up to another sum."""
+    if _is_plain(value, 0):
+        return value
+    try:
+        return decode_value(encode_value(value))
+    except SchemaError:
+        return value
+
+
+def _is_plain(value: Value, depth: int) -> bool:
+    kind = type(value)
+    if kind is dict:
+        parts: Collection[Any] = value.values()
+        if not all(type(key) is str for key in value):
+            return False
+    elif kind is tuple:
+        parts = value
+    else:
+        return kind in _PLAIN or (kind is np.ndarray and value.flags.c_contiguous and value.dtype.isnative)
+    for part in parts:
+        if type(part) not in _PLAIN and (depth > MAX_DEPTH or not _is_plain(part, depth + 1)):
             return False
     return True
 

@@ -4,13 +4,14 @@ An arrow from another part's node to one of this part's ends at a *guest*: a var
 prior but the causal support that came down along the arrow, and belongs to this arrow alone. With its guests a part is
 a network by itself, and is swept as one."""
 
+import itertools
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Inputs, extended, ones
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Inputs, Places, extended, ones
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.plan import plan_of
 from hierax.nodes.causal_tree.sweep import NothingLeftError, Product, Sweep
@@ -43,13 +44,14 @@ class Whole(NamedTuple):
     """What a part tells those below it, and believes."""
 
     causal: Mapping[Arrow, Floats]  # causal support, by arrow
-    posterior: Floats  # shape (nodes, most states)
+    posterior: Floats  # shape (nodes, states), or (1, all states) where nodes differ in their numbers of states
     impossible: str | None  # the node where the evidence shows to contradict itself; None where it does not
 
 
 class Fragment:
     """Some nodes of a network, of which the whole is given, or at least these nodes and their parents; `names` are the
-    nodes in the network's order, `sizes` their numbers of states, `states`, by node, the states' names."""
+    nodes in the network's order, `sizes` their numbers of states, `ends` the sums of these so far, `states`, by node,
+    the states' names."""
 
     def __init__(self, network: Network, names: Iterable[str]) -> None:
         held = set(names)
@@ -62,7 +64,9 @@ class Fragment:
         self._shown = [*self.names, *(child for child, _ in self._guests)]
         self._sweep = Sweep(self._plan)
         self._rooted = set(self._guests.values()) <= set(self._plan.roots)
-        self._hard = {size: np.eye(size) for size in set(self._plan.sizes)}
+        self.ends = tuple(itertools.accumulate(self.sizes))
+        self._rows = len(self.sizes) if len(set(self.sizes)) == 1 else 1  # filled up, rows could be of any size
+        self._places = dict(self._placed())
         self._known: tuple[Heard, str | None] | None = None  # what the last sweep up was of, and what it came to
 
     def own_evidence(self, evidence: Mapping[str, Any]) -> dict[str, int | tuple[float, ...]]:
@@ -99,7 +103,7 @@ class Fragment:
         impossible = self._swept(heard)
         if impossible is not None:
             causal = {arrow: self._causal_alone(heard, arrow) for arrow in heard.slots}
-            return Whole(causal, np.zeros((len(self.names), max(self.sizes))), impossible)
+            return Whole(causal, np.zeros((self._rows, self.ends[-1] // self._rows)), impossible)
         by_parent: dict[str, list[Arrow]] = {}
         for arrow in heard.slots:
             by_parent.setdefault(arrow[1], []).append(arrow)
@@ -199,7 +203,9 @@ class Fragment:
     def _vector(self, name: str, seen: int | Sequence[float]) -> Floats:
         """Evidence of a node as likelihoods."""
         if isinstance(seen, int):
-            return np.asarray(self._hard[len(self.states[name])][seen])
+            vector = np.zeros(len(self.states[name]))
+            vector[seen] = 1.0
+            return vector
         return np.array(seen, np.float64)
 
     def _towards(self, guest: int, impossible: str | None) -> Floats:
@@ -210,12 +216,18 @@ class Fragment:
         return packed(self._sweep.message_up(*below[0]) if below else self._sweep.support(guest))
 
     def _posterior(self) -> Floats:
-        found = np.zeros((len(self.names), max(self.sizes)))
+        found = np.zeros(self.ends[-1])
+        for size, (mine, places) in self._places.items():
+            found[places] = self._sweep.posteriors(size)[mine]
+        return found.reshape(self._rows, -1)
+
+    def _placed(self) -> Iterator[tuple[int, tuple[Places, Places]]]:
+        """By size, the columns of the part's own nodes, and where their posteriors stand among those of all."""
+        starts = np.array(self.ends, np.intp) - self.sizes
         for size, members in self._plan.members.items():
-            mine = members < len(self.names)
-            if mine.any():
-                found[members[mine], :size] = self._sweep.posteriors(size)[mine]
-        return found
+            mine = np.flatnonzero(members < len(self.names))
+            if mine.size:
+                yield size, (mine, starts[members[mine]][:, None] + np.arange(size))
 
 
 def _same(one: Heard, other: Heard) -> bool:

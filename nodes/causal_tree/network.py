@@ -94,11 +94,11 @@ def parse(description: Description | Network) -> Network:
 def check_tables(shapes: Mapping[Name, Sequence[int]]) -> None:
     """Whether tables of these shapes may be had, before any is made. Raises NetworkError: all together they have more
     than `MAX_TABLE_BYTES`; names the node at which that shows."""
-    numbers = 0
+    numbers = 0.0
     for name, shape in shapes.items():
-        numbers += math.prod(shape)
-        if numbers * _NUMBER_BYTES > MAX_TABLE_BYTES:
-            so_far = f"up to this one, of {_shown(tuple(shape))}, the tables have {numbers:.3g} numbers"
+        numbers += math.prod(map(float, shape))  # of a thousand parents inf, or after a 0 NaN
+        if not numbers * _NUMBER_BYTES <= MAX_TABLE_BYTES:
+            so_far = f"up to this one, of {_shown(tuple(shape)):.60}, the tables have {numbers:.3g} numbers"
             raise NetworkError(f"{so_far}; at most {MAX_TABLE_BYTES // _NUMBER_BYTES} ({MAX_TABLE_BYTES} bytes)", name)
 
 

@@ -164,13 +164,19 @@ def _from_text(text: str, path: Path, is_json: bool) -> Any:
     return content["network"] if isinstance(content, dict) and "network" in content else content
 
 
-_BIF_VARIABLE = re.compile(r'\bvariable\s+"?([^"\s{]+)"?\s*\{[^}]*?\[\s*([0-9]{1,18})\s*\]', re.DOTALL)
-_BIF_TABLE = re.compile(r"\bprobability\s*\(([^){]*)\)")
+# Neither looks for an end that may be far off, or nowhere, or a file of nothing but beginnings would take for ever.
+_BIF_VARIABLE = re.compile(r'\bvariable\s+"?([^"\s{]+)"?\s*\{|\[\s*([0-9]{1,18})\s*\]')  # its name, or its states
+_BIF_TABLE = re.compile(r"\bprobability\s*\(([^){]*)")
 
 
 def _check_bif(text: str) -> None:
     """Whether the tables that a BIF file announces may be had: pyAgrum makes them before it reads their numbers."""
-    states = {name: int(count) for name, count in _BIF_VARIABLE.findall(text)}
+    states: dict[str, int] = {}
+    opened = ""
+    for name, count in _BIF_VARIABLE.findall(text):
+        if opened and count:
+            states[opened] = int(count)
+        opened = name
     heads = [re.findall(r'[^\s,|"]+', head) for head in _BIF_TABLE.findall(text)]
     many = next((name for name, count in states.items() if count > MAX_STATES), None)
     if many is not None:

@@ -10,7 +10,8 @@ A belief is ``{"age", "evidence", "below", "above", "diagnostic", "causal", "pos
 - ``evidence``: by sender, ``{node: likelihoods}``, or the number of a state that is certain;
 - ``below``: the slots, by sending part: ``{child: {parent: message}}``; ``above``: causal support, likewise;
 - ``diagnostic``: what goes up, ``{child: {parent: message}}``; ``causal``: what goes down, likewise, by receiving part;
-- ``posterior``: one row for each of the part's nodes, filled up with zeros to the most states; float64;
+- ``posterior``: one row for each of the part's nodes; where these differ in their numbers of states, one row that has
+  all of them, node after node; float64;
 - ``age``: for how many epochs the evidence has been the same; ``impossible``: where it contradicts itself, or empty."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -123,8 +124,9 @@ class Part(Node):
 
     def posteriors(self, belief: Value) -> dict[str, Floats]:
         """The posteriors P(state | evidence) by node; all 0 where the evidence contradicts itself."""
-        sizes = self._fragment.sizes
-        return {name: row[:size] for name, row, size in zip(self.nodes, belief["posterior"], sizes, strict=True)}
+        flat, fragment = belief["posterior"].ravel(), self._fragment
+        of_nodes = zip(self.nodes, fragment.ends, fragment.sizes, strict=True)
+        return {name: flat[end - size : end] for name, end, size in of_nodes}
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """The posteriors of a small part, as ``node=state``; and whether the evidence contradicts itself."""

@@ -1,6 +1,6 @@
 """``hierax infer``: the exact posteriors of a causal tree or polytree in a file."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,6 +37,7 @@ def infer(
     from hierax.nodes.causal_tree import Inference, read_network
 
     read = read_network(network)
+    _check_names(network, read.variables)
     inference = Inference(read)
     found = inference.update(_evidence(read, evidence or ()))
     variables = read.variables
@@ -52,6 +53,16 @@ def infer(
     ]
     print_table({"node": {}, "state": {}, "probability": {"justify": "right"}}, rows)
     return 0
+
+
+def _check_names(file: Path, names: Iterable[str | int]) -> None:
+    """Raises HieraxError: two nodes' ids are one text, 1 and "1", which rows and --evidence could not tell apart."""
+    known: dict[str, str | int] = {}
+    for name in names:
+        other = known.setdefault(str(name), name)
+        if other != name:
+            expected = f"expected ids that differ as texts, got {other!r} and {name!r}"
+            raise CommandError(f"{file}: node {name!r}: id: {expected}")
 
 
 def _evidence(network: "Network", given: Sequence[str]) -> dict[Any, Any]:

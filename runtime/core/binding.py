@@ -15,6 +15,7 @@ import numpy as np
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HierarchyError, OperatorError
 from hierax.runtime.core.node import Allocate, Node, Tick, World
+from hierax.schemas.values import plain
 
 Operator = Callable[..., Any]
 Waiter = Callable[[Awaitable[Any]], Any]  # drives an awaitable to its result; the core itself has no event loop
@@ -43,10 +44,14 @@ TAKES = {
 """What the caller passes to each operator and edge function, beside the tick."""
 
 
+KEPT = frozenset({"initial_belief", "observe", "predict", "policy"})
+"""Whose results are in a node's state: who goes on from a checkpoint, or a recording, has them as their bytes have."""
+
+
 class Call:
     """One operator of one node or edge: call it with the epoch, its time and its arguments."""
 
-    __slots__ = ("_above", "_below", "_function", "_setting", "_wants_tick", "operator", "subject")
+    __slots__ = ("_above", "_below", "_function", "_is_kept", "_setting", "_wants_tick", "operator", "subject")
 
     def __init__(
         self,
@@ -64,6 +69,7 @@ class Call:
         self._setting = setting
         self._below = below
         self._above = above
+        self._is_kept = (takes or operator) in KEPT
         self._wants_tick = check_signature(function, operator, takes, subject)
         self._function = _synchronous(function, setting, f"{subject}: {operator}")
 
@@ -71,11 +77,12 @@ class Call:
         """Call the operator. Raises `OperatorError` if it raised; the cause is chained."""
         try:
             if not self._wants_tick:
-                return self._function(*arguments)
-            tick = self._tick(epoch, time_s)
-            given = self._function(*arguments, tick=tick)
-            tick.freeze()
-            return given
+                given = self._function(*arguments)
+            else:
+                tick = self._tick(epoch, time_s)
+                given = self._function(*arguments, tick=tick)
+                tick.freeze()
+            return plain(given) if self._is_kept else given
         except (Exception, SystemExit) as error:  # an operator that exits fails: it would end all nodes in silence
             raise self._failed(epoch, error) from error
 
@@ -90,6 +97,8 @@ class Call:
                 tick.freeze()
         except (Exception, SystemExit) as error:
             raise self._failed(epoch, error) from error
+        if self._is_kept:
+            result = plain(result)
         if type(result) is tuple:
             return result
         if isinstance(result, (list, tuple)):

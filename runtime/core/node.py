@@ -12,6 +12,7 @@ from numpy.random import Generator, Philox  # by name: `np.random` would be impo
 from numpy.typing import DTypeLike, NDArray
 
 from hierax.runtime.core.elements import Elements, Value
+from hierax.schemas.values import plain
 
 if TYPE_CHECKING:
     from hierax.runtime.core.probe import Step
@@ -180,7 +181,7 @@ class Node(ABC):
         Raises:
             ValueError: it cannot be taken over; says why.
         """
-        difference = structural_difference(self.initial_belief(), belief)
+        difference = structural_difference(plain(self.initial_belief()), belief)
         if difference:
             raise ValueError(difference)
         return belief

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.process import ActiveNode
@@ -25,7 +25,7 @@ from hierax.runtime.execution.report import NodeReport
 from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.node_loader import NodeLoader, wait_for
-from hierax.runtime.owner.roster_changes import ChangeError, Undo, next_roster
+from hierax.runtime.owner.roster_changes import ChangeError, Undo, next_roster, touched
 from hierax.runtime.transport.port import QUEUE_SIZE, MemoryNetwork
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Change, Detach, Replace, Roster, new_nodes
@@ -63,8 +63,7 @@ class _World(World):
 
     def committed(self, committed: Committed) -> None:
         super().committed(committed)
-        engine = self._nodes.runners[self._nodes.deployment.roster.world].engine
-        self.paused = engine.overlaps and not engine.waited
+        self.paused = not self._nodes.runners[self._nodes.deployment.roster.world].engine.waited
 
     def begin_next(self, runner: NodeRunner) -> None:
         epoch = runner.engine.epoch + 1
@@ -116,9 +115,11 @@ class SingleNodes(Host):
         self._terms = dict(deployment.terms)
         self._failed: set[str] = set()
         self._trials: dict[str, _Trial] = {}
+        self._tried: dict[str, NodeLoader] = {}  # of nodes that were asked for, and are yet to come
         self._roster = deployment.roster
         self._world = deployment.roster.world
         self._network = MemoryNetwork(self.seed)
+        self._network.overtakes = deployment.staleness.free  # a slow node hears of many epochs between two of its turns
         self._make_room()
         if self.record is not None:
             self._network.tap = self.record.message
@@ -141,7 +142,7 @@ class SingleNodes(Host):
     def ask(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
         """Have the roster change with the next epoch; where epochs overlap, the one under way has to be drained."""
         world = self.runners[self._world].engine
-        overlaps = world.phase is not Phase.DONE and self.deployment.overlaps
+        overlaps = world.epoch > 0 and self.deployment.overlaps  # the others may be behind a world that is done
         epoch = world.epoch + 1 + overlaps
         limit = self.pacemaker.limit
         if self.pacemaker.done or (limit is not None and epoch > limit):
@@ -150,10 +151,31 @@ class SingleNodes(Host):
         roster = self._roster
         for each in [*(scheduled.change for scheduled in self._schedule if scheduled.epoch <= epoch), change]:
             roster = next_roster(roster, each)
+        self._try(change, roster)
         self._schedule.append(Scheduled(epoch, change, terms))
         self._schedule.sort(key=lambda scheduled: scheduled.epoch)
         self._begins.due.add(epoch)
         return epoch
+
+    def _try(self, change: Change, roster: Roster) -> None:
+        """Build what a change brings, which its first epoch begins with. Raises `HieraxError` if that cannot be."""
+        for name in new_nodes(change):
+            loader = NodeLoader(name, self._setting, self._allowance)
+            node = loader.wiring(roster).node
+            if not isinstance(change, Replace):
+                node.initial_belief(0, 0.0)
+            elif name in self.runners:
+                self._taken_over(name, node)
+            self._tried[name] = loader
+        for name in touched(self._roster, roster) & self._loaders.keys() - new_nodes(change).keys():
+            self._loaders[name].wiring(roster)
+
+    def _taken_over(self, name: str, node: BoundNode) -> ActiveNode:
+        """The state that a node has of the one that it replaces. Raises `ChangeError` if it does not take it over."""
+        try:
+            return taken_over(node, self.runners[name].engine.encoded)
+        except HieraxError as error:
+            raise ChangeError(f"cannot replace {name!r}: {error}") from error
 
     def reports(self, committed: int | None) -> tuple[dict[str, NodeReport], dict[str, str]]:
         """What the nodes have come to; of a run broken off after a committed epoch also who cannot tell, and why."""
@@ -292,14 +314,12 @@ class SingleNodes(Host):
             self._network.queue_size = max(self._network.queue_size, QUEUE_SIZE + 2 * rates.reach)
 
     def _come(self, name: str, epoch: int, replaces: bool) -> None:
-        loader = self._loaders[name] = NodeLoader(name, self._setting, self._allowance)
+        tried = self._tried.pop(name, None)
+        loader = self._loaders[name] = tried or NodeLoader(name, self._setting, self._allowance)
         wiring = loader.wiring(self._roster)
         saved: Saved | None = None
         if replaces:
-            try:
-                state = taken_over(wiring.node, self.runners[name].engine.encoded)
-            except HieraxError as error:
-                raise ChangeError(f"cannot replace {name!r}: {error}") from error
+            state = self._taken_over(name, wiring.node)
             engine = self.runners[name].engine
             saved = Saved(epoch - 1, engine.attempt, state, state, engine.under_way)
             self._close(name)

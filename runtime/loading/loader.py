@@ -10,6 +10,8 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable
+from importlib.machinery import PathFinder
+from pathlib import Path
 from types import ModuleType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -33,11 +35,17 @@ class LoadError(PlacedError):
     ``edges.world -> arm.sense.function``."""
 
 
+_deployments_paths: list[str] = []  # folders of modules that deployments have brought: of the newest one, last
+_newest_paths: list[str] = []
+
+
 def extend_import_path(paths: Iterable[str]) -> None:
-    """Let modules be found in further folders, behind all that is there already."""
-    for path in paths:
+    """Let modules of a deployment be found in further folders, behind all that is there already."""
+    _newest_paths[:] = paths
+    for path in _newest_paths:
         if path not in sys.path:
             sys.path.append(path)
+            _deployments_paths.append(path)
     importlib.invalidate_caches()
 
 
@@ -265,7 +273,11 @@ def _parameters(target: Callable[..., Any]) -> list[inspect.Parameter]:
 
 def _import(name: str, where: str) -> ModuleType:
     try:
-        return importlib.import_module(name)
+        module = importlib.import_module(name)
+        _check_whose(name.partition(".")[0], where)
+        return module
+    except LoadError:
+        raise
     except ModuleNotFoundError as error:
         lacking = error.name or name
         if lacking != name and not name.startswith(f"{lacking}."):
@@ -273,6 +285,25 @@ def _import(name: str, where: str) -> ModuleType:
         raise LoadError(f"there is no module {lacking!r}{_nearest_module(lacking)}", where) from error
     except (Exception, SystemExit) as error:
         raise LoadError(f"importing {name!r} raised {_told(error)}", where) from error
+
+
+def _check_whose(name: str, where: str) -> None:
+    """Raises `LoadError` where a module is another deployment's, which this process has run before, and the newest one
+    has one of that name, too: Python imports one alone."""
+    file = getattr(sys.modules.get(name), "__file__", None)
+    if file is None:
+        return
+    found = next((path for path in _deployments_paths if _is_in(file, name, path)), None)
+    own = PathFinder.find_spec(name, _newest_paths)
+    if found is None or found in _newest_paths or own is None or own.origin in (None, file):
+        return
+    what = f"module {name!r} of another deployment, {file}, is in this process already, beside {own.origin}"
+    raise LoadError(f"{what}; run one of them in a process of its own, or name its modules otherwise", where)
+
+
+def _is_in(file: str, name: str, folder: str) -> bool:
+    """Whether a file is that of a module of a name in a folder: a module, or a package."""
+    return Path(file) in (Path(folder) / f"{name}.py", Path(folder) / name / "__init__.py")
 
 
 def _nearest_module(name: str) -> str:

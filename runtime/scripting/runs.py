@@ -7,7 +7,7 @@ import sys
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
@@ -38,6 +38,7 @@ from hierax.runtime.transport.port import TransportError
 from hierax.schemas.roster import Change, Detach
 
 _ENDS_S = 5.0  # how long a launch of which a process does not answer may take to be over
+_MOST_TOLD = 10_000  # how many epochs wait until somebody iterates over them; of more than that the oldest are left out
 _OPENS_S = 60.0  # how long a launch may take until it can be reached
 
 _log = logging.getLogger("hierax")
@@ -141,11 +142,21 @@ class _Local(Run):
         super().__init__(deployment, stack)
         self._single = single
         self._epochs = single.epochs()
+        self._failure: Exception | None = None
         stack.callback(single.close)
 
     def __next__(self) -> Epoch:
-        with self.deployment.explaining():
-            number, digest = next(self._epochs)
+        if self._failure is not None:
+            raise self._failure
+        try:
+            with self.deployment.explaining():
+                number, digest = next(self._epochs)
+        except StopIteration:
+            raise
+        except BaseException as error:
+            broken = HieraxError(f"the run was broken off ({type(error).__name__})")
+            self._failure = error if isinstance(error, Exception) else broken
+            raise
         return Epoch(number, digest.hex())
 
     def belief(self, name: str) -> Value:
@@ -159,6 +170,8 @@ class _Local(Run):
         return self._single.change(change, terms)
 
     def _report(self) -> Report:
+        if self._failure is not None:
+            raise self._failure
         return self._single.report()
 
 
@@ -179,6 +192,9 @@ class _Launched(Run):
 
     def _keep(self, options: Mapping[str, Any]) -> None:
         def tell(number: int, digest: bytes) -> None:
+            if self._told.qsize() >= _MOST_TOLD:  # nobody iterates, or not as fast
+                with suppress(queue.Empty):
+                    self._told.get_nowait()
             self._told.put(Epoch(number, digest.hex()))
 
         try:

@@ -2,6 +2,7 @@
 
 Every pytest in an environment with hierax loads this module, so it imports nothing heavy."""
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -43,7 +44,11 @@ def hierax_node() -> "Callable[..., list[Step]]":
 
 @contextmanager
 def _import_path() -> Iterator[None]:
-    """Folders of deployments are looked into for their own test alone."""
-    paths = list(sys.path)
+    """Folders of deployments are looked into for their own test alone, and their modules are not those of the next."""
+    paths, modules = list(sys.path), set(sys.modules)
     yield
+    folders = tuple(f"{path}{os.sep}" for path in set(sys.path) - set(paths))
     sys.path[:] = paths
+    for name in sys.modules.keys() - modules:
+        if str(getattr(sys.modules[name], "__file__", None)).startswith(folders):
+            del sys.modules[name]

@@ -135,6 +135,7 @@ class MemoryNetwork:
         self.random = Random(seed)
         self.waiting: DrawnSet[str] = DrawnSet(self.random)  # the nodes that have something to receive
         self.queue_size = queue_size  # how many messages of one sender, receiver and kind may be under way
+        self.overtakes = False  # whether, where there are so many, the oldest is left out: only newer ones count
         self._ports: dict[str, MemoryPort] = {}
 
     def open_port(self, name: str) -> "MemoryPort":
@@ -163,7 +164,9 @@ class MemoryNetwork:
         if port is None:
             raise TransportError(f"{header.sender}: no node {header.receiver!r} to send to")
         waiting = port.waiting((header.sender, header.kind))
-        if waiting >= self.queue_size:
+        if waiting >= self.queue_size and self.overtakes:
+            port.skip((header.sender, header.kind))
+        elif waiting >= self.queue_size:
             raise TransportError(
                 f"{header.sender}: {waiting} {header.kind} messages to {header.receiver} are not received yet"
             )
@@ -217,6 +220,10 @@ class MemoryPort(Port):
             self._filled.add(lane)
             self._network.waiting.add(self._name)
         queue.append(data)
+
+    def skip(self, lane: Lane) -> None:
+        """Leave out the oldest message of a lane, before another one is put there."""
+        del self._lanes[lane][0]
 
     def lose(self, sender: str | None = None) -> None:
         """Lose what is under way here, from one sender or from all."""

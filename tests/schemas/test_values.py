@@ -19,7 +19,7 @@ from support.tagged import tagged, text
 
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.limits import MAX_CONTAINERS, MAX_DEPTH, MAX_ITEMS
-from hierax.schemas.values import decode_value, encode_value
+from hierax.schemas.values import decode_value, encode_value, plain
 
 
 @dataclasses.dataclass
@@ -261,3 +261,40 @@ def test_tagging_tells_values_apart() -> None:
         {"$float": "nan"},
         {"$int": "9223372036854775808"},
     ]
+
+
+UNLIKE = [
+    [1, [2]],
+    Point(1.0, 2.0),
+    OrderedDict(b=1, a=2),
+    np.float64(0.5),
+    {"mean": (1, np.float64(0.5))},
+    {np.str_("a"): 1},
+    (Colour.RED,),
+    bytearray(b"ab"),
+    {"image": np.zeros((2, 3)).T},
+    np.zeros(3, ">f8"),
+]
+
+
+@pytest.mark.parametrize("value", UNLIKE, ids=repr)
+def test_what_is_gone_on_with_is_as_its_bytes_have_it(value: Any) -> None:
+    settled, read = plain(value), decode_value(encode_value(value))
+    assert encode_value(settled) == encode_value(value)
+    assert repr(settled) == repr(read)
+    assert plain(settled) is settled
+
+
+LIKE = [None, 1, {"a": (1.0, {"b": b""}), "c": np.zeros((2, 3), np.float32)}, (), np.array(1.0)]
+
+
+@pytest.mark.parametrize("value", LIKE, ids=repr)
+def test_what_is_so_already_is_left_as_it_is(value: Any) -> None:
+    assert plain(value) is value
+
+
+def test_what_cannot_travel_is_left_for_who_sends_it() -> None:
+    endless: list[Any] = []
+    endless += [endless]
+    for value in (object(), {1: 2}, endless, (endless,), {"a": {1, 2}}, 1 << 70):
+        assert plain(value) is value

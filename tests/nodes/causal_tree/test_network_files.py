@@ -6,6 +6,7 @@ import json
 import os
 import re
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -169,6 +170,28 @@ def test_tables_of_many_parents_are_refused_before_they_are_made(tmp_path: Path)
     bif.write_text(f'network "n" {{}}\n{variables}probability (p0 | {", ".join(names[1:])}) {{ table 1 0; }}\n')
     with pytest.raises(NetworkError, match=r"node 'p0': .* numbers; at most"):
         read_network(bif)
+
+
+@pytest.mark.parametrize("beginning", ["variable a {", "probability (", "variable a { [", "variable ", "[ "])
+def test_a_bif_of_nothing_but_beginnings_is_checked_at_once(
+    tmp_path: Path, beginning: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "n.bif"
+    path.write_text(beginning * 8000)
+    monkeypatch.setitem(sys.modules, "pyagrum", None)  # which is asked once the file is checked
+    start = time.process_time()
+    with pytest.raises(NetworkError, match="BIF needs pyAgrum"):
+        read_network(path)
+    assert time.process_time() - start < 2  # milliseconds; ten seconds and more where it is quadratic
+
+
+def test_so_many_parents_that_no_float_counts_the_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "n.bif"
+    variables = "".join(f"variable p{number} {{ type discrete[2] {{no, yes}}; }}\n" for number in range(1100))
+    names = ", ".join(f"p{number}" for number in range(1, 1100))
+    path.write_text(f"{variables}probability (p0 | {names}) {{ table 1 0; }}\n")
+    with pytest.raises(NetworkError, match=r"node 'p0': .* have inf numbers; at most"):
+        read_network(path)
 
 
 def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:

@@ -246,6 +246,23 @@ def test_small_parts_tell_their_posteriors_as_metrics() -> None:
     assert Part(large).metrics(Part(large).initial_belief()) == {}
 
 
+def test_a_part_is_no_larger_than_the_numbers_in_it() -> None:
+    small = [{"id": f"s{number}", "states": 2, "prior": [0.25, 0.75]} for number in range(3)]
+    part = Part([*small, {"id": "wide", "states": 65_536, "prior": np.full(65_536, 1 / 65_536)}], settle=None)
+    tick = Tick(below=("world",))
+    belief = told(part, part.initial_belief(), epoch_below=(evidence(wide=7),), tick=tick)
+    found = part.posteriors(belief)
+    assert (belief["posterior"].shape, found["wide"][7], found["wide"].sum()) == ((1, 65_542), 1.0, 1.0)
+    assert found["s2"].tolist() == [0.25, 0.75]
+    belief = told(part, belief, epoch_below=(evidence(s0=(0.0, 0.0)),), tick=tick)
+    assert [row.any() for row in part.posteriors(belief).values()] == [False] * 4
+
+
+def test_nodes_with_equally_many_states_have_a_row_each() -> None:
+    belief = Part(CHAIN).initial_belief()
+    np.testing.assert_allclose(belief["posterior"], [[0.7, 0.3], [0.69, 0.31], [0.876, 0.124]], rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [

@@ -87,6 +87,14 @@ def test_what_is_wrong_is_one_line(
     assert err.count("\n") == 1
 
 
+def test_ids_that_are_one_text_are_told_with_file_and_node(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "same.yaml"
+    path.write_text("".join(f"- {{id: {name}, states: 2, prior: [0.5, 0.5]}}\n" for name in ("1", "2", "'1'")))
+    assert main(["infer", str(path)]) == 1
+    expected = "expected ids that differ as texts, got 1 and '1'"
+    assert capsys.readouterr() == ("", f"error: {path}: node '1': id: {expected}\n")
+
+
 def test_a_wrong_file_is_told_with_its_node(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "wrong.yaml"
     path.write_text(NETWORK.replace("0.3]", "0.4]"))

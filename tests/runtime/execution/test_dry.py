@@ -150,3 +150,9 @@ def test_an_error_of_a_dry_run_is_an_operators(tmp_path: Path) -> None:
     extend_import_path(file.import_paths)
     with pytest.raises(OperatorError, match="rover->eye: sense in epoch 1"):
         run_dry(file)
+
+
+def test_a_node_that_would_be_detached_for_what_it_raises_is_no_less_wrong(tmp_path: Path) -> None:
+    failing = ["nodes.left.class=support.toy_nodes:Failing", "nodes.left.on_loss=detach"]
+    with pytest.raises(OperatorError, match="left: observe in epoch 1: RuntimeError: the camera is gone"):
+        run_dry(read_deployment(write(tmp_path), failing))

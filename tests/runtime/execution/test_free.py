@@ -15,6 +15,7 @@ from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import read_schedule
 from hierax.runtime.execution.report import Report
 from hierax.runtime.execution.single import run
+from hierax.runtime.transport.port import QUEUE_SIZE
 
 EPOCHS = 60
 
@@ -218,3 +219,12 @@ def test_a_rate_is_a_positive_number(rate: str, tmp_path: Path) -> None:
     path = write(tmp_path, text)
     with pytest.raises(DeploymentError, match=f"toys.yaml:{line_of('rate_hz', text)}: .*rate_hz"):
         read_deployment(path)
+
+
+def test_a_node_that_is_much_slower_hears_of_the_newest_epochs(tmp_path: Path) -> None:
+    """Between two of its turns go more epochs than messages may wait."""
+    rates = ("nodes.world.rate_hz=2000", "nodes.low.rate_hz=2000", "nodes.mid.rate_hz=2000", "nodes.top.rate_hz=1")
+    deployment = read_deployment(write(tmp_path, MIXING), ("staleness=null", *rates))
+    epochs, output = QUEUE_SIZE + 1500, tmp_path / "out"
+    assert run(deployment, epochs=epochs, seed=0, output=output).epochs == epochs
+    assert len(epochs_of(output, "top")) <= 4

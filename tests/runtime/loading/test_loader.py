@@ -400,3 +400,29 @@ def test_what_a_module_only_imports_is_allowed_by_the_module_that_defines_it(tmp
     build_node(reference, "nodes.n", Allowance(("hierax_test_importing", "hierax_test_treacherous")))
     inside = Reference("hierax.nodes.letters:symbol_seen", {"letter": 1})  # a package offers what is inside it
     assert build_edge(RosterEdge("a", "b", inside), Allowance(("hierax.nodes.letters",))).sense is not None
+
+
+TWINS = Allowance(("twin_of_two", "alone_in_b"))
+
+
+def test_a_module_of_another_deployment_is_not_taken_for_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "twin_of_two.py").write_text(f"class Made:\n    name = {folder.name!r}\n", encoding="utf-8")
+    (folders[1] / "alone_in_b.py").write_text("class Made:\n    name = 'b'\n", encoding="utf-8")
+    try:
+        extend_import_path([str(folders[0])])
+        assert load("twin_of_two:Made", "nodes.x", TWINS).name == "a"
+        extend_import_path([str(folders[1])])
+        assert load("alone_in_b:Made", "nodes.x", TWINS).name == "b"
+        with pytest.raises(LoadError, match=r"module 'twin_of_two' of another deployment, .*a/twin_of_two\.py"):
+            load("twin_of_two:Made", "nodes.x", TWINS)
+        extend_import_path([str(folders[0])])
+        assert load("twin_of_two:Made", "nodes.x", TWINS).name == "a"
+    finally:
+        sys.modules.pop("twin_of_two", None)
+        sys.modules.pop("alone_in_b", None)

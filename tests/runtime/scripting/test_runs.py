@@ -10,8 +10,9 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pytest
-from support.script_nodes import Failing, seen
+from support.script_nodes import Failing, Idle, Interrupted, Meaning, Refusing, seen
 from support.toy_nodes import Counter, Summer, Waiting
 
 import hierax
@@ -22,6 +23,7 @@ from hierax.runtime.core.node import Node
 from hierax.runtime.deployment.snippet import Scheduled, attach_of
 from hierax.runtime.execution.single import run as run_at_once
 from hierax.runtime.launch.run_file import known_runs
+from hierax.runtime.scripting import runs
 from hierax.schemas.roster import Detach
 
 Start = Callable[..., hierax.Run]
@@ -92,6 +94,81 @@ def test_a_change_takes_effect_with_the_first_epoch_that_can_know_of_it() -> Non
 def test_what_a_node_raises_is_raised_where_epochs_are_waited_for(start: Start) -> None:
     with start(toys(Failing)) as run, pytest.raises(HieraxError, match="out of luck"):
         list(run)
+
+
+def test_a_run_that_has_failed_says_so_whenever_it_is_asked(tmp_path: Path) -> None:
+    run = hierax.run(toys(Failing), epochs=10, output=tmp_path / "out")
+    with pytest.raises(HieraxError, match="out of luck"):
+        list(run)
+    for _ in range(2):
+        with pytest.raises(HieraxError, match="out of luck"):
+            next(run)
+        with pytest.raises(HieraxError, match="out of luck"):
+            run.report()
+    assert not (tmp_path / "out" / "summary.json").exists()
+
+
+def test_a_run_in_this_process_that_was_broken_off_is_over() -> None:
+    with hierax.run(toys(Interrupted), epochs=10) as run:
+        with pytest.raises(KeyboardInterrupt):
+            list(run)
+        with pytest.raises(HieraxError, match=r"the run was broken off \(KeyboardInterrupt\)"):
+            run.report()
+
+
+@pytest.mark.parametrize("what", ["made", "begun", "taken over"])
+@MODES
+def test_a_change_that_cannot_be_made_is_refused_and_the_run_goes_on(start: Start, what: str) -> None:
+    part = hierax.Hierarchy("part").add("sum" if what == "taken over" else "more", partial(Refusing, what=what))
+    with start(toys(), epochs=None) as run:
+        next(run)
+        with pytest.raises(HieraxError, match=f"cannot be {what}"):
+            run.replace("sum", part) if what == "taken over" else run.attach(part.join("sum", "more", sense=seen))
+        next(run)
+        run.detach("sum")
+
+
+def test_a_world_alone_goes_on_only_while_it_is_iterated_over() -> None:
+    with hierax.run(hierax.Hierarchy("alone", modules=["support.*"]).add("world", Idle)) as run:
+        assert [(epoch.number, run.belief("world")) for epoch in islice(run, 3)] == [(1, 1), (2, 2), (3, 3)]
+
+
+def test_of_a_launch_that_nobody_iterates_over_the_last_epochs_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "_MOST_TOLD", 5)
+    run = hierax.launch(toys(), epochs=200)
+    run._thread.join()  # type: ignore[attr-defined]
+    assert len(list(run)) <= 6
+    assert run.report().epochs == 200
+
+
+def test_it_makes_no_difference_whether_a_node_goes_on_with_what_it_returned(tmp_path: Path) -> None:
+    """A process that comes in its place has numbers of Python's, and tuples, as a recording has."""
+    file = tmp_path / "means.mcap"
+    with hierax.run(toys(Meaning), epochs=8, record=file) as run:
+        next(run)
+        belief = run.belief("sum")
+        run.report()
+    assert belief["image"].dtype == np.float32
+    assert [type(belief["gain"]), belief["seen"]] == [float, ("tuple",)]
+    assert main(["replay", str(file), "--verify", "--from", "4"]) == 0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_with_rates_a_change_by_hand_is_the_one_that_is_scheduled(seed: int) -> None:
+    """A world that waits for nobody is ahead of the others: the last epoch before the change is drained."""
+    hierarchy = hierax.Hierarchy("late", epochs=40, modules=["support.*"]).add("world", Counter)
+    hierarchy.add("sum", Summer).add("top", Summer, every=3)
+    hierarchy.join("world", "sum", sense=seen, context=seen, delay=4).join(
+        "sum", "top", sense=seen, context=seen, delay=4
+    )
+    with hierax.run(hierarchy, seed=seed) as run:
+        for epoch in run:
+            if epoch.number == 10 + seed:
+                break
+        first = run.detach("top")
+        digest = run.report().digest
+    schedule = (Scheduled(first, Detach("top")),)
+    assert run_at_once(hierarchy.deployment(), epochs=40, seed=seed, schedule=schedule).digest == digest
 
 
 @MODES
