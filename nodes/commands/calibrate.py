@@ -79,6 +79,8 @@ def _checked_output(output: Path, overwrite: bool) -> Path:
     replaced."""
     if not output.name or output.name == "..":
         raise UsageError(f"--output {str(output)!r}: expected the name of a file, such as camera.yaml")
+    if output.suffix.lower() == ".xml":
+        raise UsageError(f"--output {output}: expected a name such as camera.yaml, as calibrations are written in YAML")
     coverage = output.with_name(f"{output.stem}-coverage.png")
     for path in (output, coverage):
         if path.is_dir():
@@ -93,11 +95,11 @@ def _checked_output(output: Path, overwrite: bool) -> Path:
 
 
 def _check_replaced(output: Path) -> None:
-    from hierax.nodes.sources.calibration import read_calibration
+    from hierax.nodes.sources.calibration import check_kind
     from hierax.nodes.sources.files import DataError
 
     try:
-        read_calibration(output)
+        check_kind(output)
     except DataError as error:
         raise CommandError(f"{error}: --overwrite replaces calibrations alone; give another name") from error
 

@@ -2,22 +2,34 @@
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from typing import Any
 
 from hierax.nodes.ros2.carrier import Carrier, Heard, Qos, domain
-from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.files import DataError, told_of
 
 _END_S = 2.0
+
+
+@contextmanager
+def _asked(where: str) -> Iterator[None]:
+    """`DataError` for whatever rclpy raises meanwhile: its errors have many kinds."""
+    try:
+        yield
+    except DataError:
+        raise
+    except Exception as error:
+        raise DataError(f"{where}: rclpy refuses: {told_of(error)}; expected a ROS that works here") from error
 
 
 class RclpyCarrier(Carrier):
     """A node of `rclpy`, in a context of its own, which a thread spins. Messages stay CDR, both ways: rclpy makes and
     reads none.
 
-    Args: where: what asks for it, for errors; node: its name. Raises DataError: there is no rclpy."""
+    Args: where: what asks for it, for errors; node: its name. Raises DataError: there is no rclpy, or it makes no
+        node."""
 
     def __init__(self, where: str, node: str) -> None:
         self._where = where
@@ -29,13 +41,15 @@ class RclpyCarrier(Carrier):
             what = "a shell in which ROS's setup.bash was sourced, or ros+zenoh: in place of ros:"
             raise DataError(f"{where}: rclpy cannot be imported ({error}); expected {what}") from error
         quiet = signals.SignalHandlerOptions.NO
-        self._rclpy.init(args=[], context=context, domain_id=domain(), signal_handler_options=quiet)
+        options = {"enable_rosout": False, "start_parameter_services": False, "use_global_arguments": False}
+        with _asked(where), ExitStack() as begun:
+            self._rclpy.init(args=[], context=context, domain_id=domain(), signal_handler_options=quiet)
+            begun.callback(self._rclpy.try_shutdown, context=context)
+            self._node = self._rclpy.create_node(node, context=context, **options)
+            self._executor = executors.SingleThreadedExecutor(context=context)
+            self._executor.add_node(self._node)
+            begun.pop_all()
         self._context = context
-        self._node = self._rclpy.create_node(
-            node, context=context, enable_rosout=False, start_parameter_services=False, use_global_arguments=False
-        )
-        self._executor = executors.SingleThreadedExecutor(context=context)
-        self._executor.add_node(self._node)
         self._ended = executors.ExternalShutdownException
         self._thread = threading.Thread(target=self._spin, name="rclpy", daemon=True)
         self._thread.start()
@@ -44,12 +58,13 @@ class RclpyCarrier(Carrier):
         def came(data: bytes) -> None:
             heard(data, time.time_ns())
 
-        self._node.create_subscription(self._type(kind), topic, came, self._profile(qos), raw=True)
+        with _asked(f"{self._where}: {topic}"):
+            self._node.create_subscription(self._type(kind), topic, came, self._profile(qos), raw=True)
 
     def publisher(self, topic: str, kind: str, qos: Qos) -> Callable[[bytes], object]:
-        publish: Callable[[bytes], object] = self._node.create_publisher(
-            self._type(kind), topic, self._profile(qos)
-        ).publish
+        with _asked(f"{self._where}: {topic}"):
+            made: Any = self._node.create_publisher(self._type(kind), topic, self._profile(qos))
+        publish: Callable[[bytes], object] = made.publish
         return publish
 
     def kinds(self, topic: str) -> set[str]:

@@ -1,6 +1,8 @@
 """Topics of ROS 2 as live sources: the newest picture of a camera, or the newest of several topics."""
 
 import dataclasses
+import math
+import time
 from collections.abc import Mapping
 from contextlib import closing
 from functools import partial
@@ -25,7 +27,7 @@ from hierax.nodes.ros2.topics import Came, Topics
 from hierax.nodes.ros2.transforms import Transforms
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.live import Live
-from hierax.nodes.sources.shots import Header, Shot
+from hierax.nodes.sources.shots import Floats, Header, Seen, Shot
 
 _LOOK_S = 0.05  # between looks for somebody who publishes
 _TF = Qos(True, False, 100)
@@ -50,6 +52,7 @@ class LiveTopics(Live):
         self._within_ns = round(within_s * NS)
         self._expected = expected  # types of the topics; none: all that are known
         self._lacks = ""
+        self._ahead_s = -math.inf  # so far the newest message's stamp was ahead of the monotonic clock when it came
 
     def _stream(self) -> str:
         shown = 0
@@ -66,9 +69,15 @@ class LiveTopics(Live):
                 found = topics.newest(self._is_ready, _LOOK_S)
                 if found is not None:
                     self._lacks = ""
-                    self._take(self._shot(found), found[first].number - shown)
+                    shot = self._shot(found)
+                    self._ahead_s = shot.time_s - time.monotonic()
+                    self._take(shot, found[first].number - shown)
                     shown = found[first].number
         return "was closed"
+
+    def _idle_s(self, belief: Seen) -> float:
+        """By the clock of the stamps, as it goes on from the newest message; until one comes, time stands still."""
+        return max(belief["time_s"], self._ahead_s + time.monotonic())
 
     def _lacking(self) -> str:
         return f"; {self._lacks}" if self._lacks else ""
@@ -118,6 +127,7 @@ class TopicFrames(LiveTopics):
         self._options, self._calibrated = address.options, calibrated
         self._has_info = calibrated
         self._transforms = Transforms()
+        self._camera: Floats | None = None  # when the picture was taken that is ready
 
     def _prepare(self, carrier: Carrier, topics: Topics) -> None:
         if "world" in self._options:
@@ -148,9 +158,12 @@ class TopicFrames(LiveTopics):
     def _is_ready(self, came: Came) -> bool:
         if not self._has_info:
             return False
-        return "world" not in self._options or self._pose(came) is not None
+        if "world" not in self._options:
+            return True
+        self._camera = self._pose(came)  # kept, as transforms go on to come while the picture is decoded
+        return self._camera is not None
 
-    def _pose(self, came: Came) -> Any:
+    def _pose(self, came: Came) -> Floats | None:
         world, camera = self._options["world"], self._options.get("camera", came.message.header.frame_id)
         pose = self._transforms.find(world, camera, came.stamp_ns)
         if pose is None:
@@ -160,8 +173,8 @@ class TopicFrames(LiveTopics):
     def _shot(self, found: Mapping[str, Came]) -> Shot:
         came = found["image"]
         header: Header = {**header_of(self.name, came.message), "stamp_ns": came.stamp_ns}
-        image, pose = image_of(self.name, came.message), self._pose(came) if "world" in self._options else None
-        return Shot(0, image, came.stamp_ns / NS, came.arrived_ns / NS, camera=pose, header=header)
+        image = image_of(self.name, came.message)
+        return Shot(0, image, came.stamp_ns / NS, came.arrived_ns / NS, camera=self._camera, header=header)
 
 
 def address_of_camera(name: str) -> Address:
@@ -171,14 +184,19 @@ def address_of_camera(name: str) -> Address:
 
 def plain(where: str, message: Any) -> Any:
     """A message as nodes have it: maps by the fields' names, tuples, arrays, numbers and texts; a picture is an array.
-    Raises DataError, with `where`: a picture is damaged."""
+    Within another message it is its fields, as it may be empty, or of any encoding. Raises DataError, with `where`: a
+    picture is damaged."""
     if getattr(message, "__msgtype__", "") in _PICTURES:
         return {"header": header_of(where, message), "image": image_of(where, message)}
+    return _fields(message)
+
+
+def _fields(message: Any) -> Any:
     if dataclasses.is_dataclass(message):
-        fields = (each.name for each in dataclasses.fields(message) if each.name != "__msgtype__")
-        return {name: plain(where, getattr(message, name)) for name in fields}
+        names = (each.name for each in dataclasses.fields(message) if each.name != "__msgtype__")
+        return {name: _fields(getattr(message, name)) for name in names}
     if isinstance(message, np.ndarray):
         return np.array(message)  # a copy: those of messages are not aligned
     if isinstance(message, list | tuple):
-        return tuple(plain(where, each) for each in message)
+        return tuple(_fields(each) for each in message)
     return message.item() if isinstance(message, np.generic) else message

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.sources.calibration import FISHEYE, PINHOLE, RATIONAL, Lens
+from hierax.nodes.sources.calibration import FISHEYE, PINHOLE, RATIONAL, Lens, lens_of, told_by
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import Array
 from hierax.nodes.sources.shots import Floats, Size, check_size
@@ -146,7 +146,7 @@ def calibrate(name: str, views: Sequence[View], size: Size, model: str = PINHOLE
     """A camera's calibration from views of a board, without those that do not fit the others.
 
     Args: name: what the pictures are called; model: one of `MODELS`.
-    Raises DataError: there are too few views, or they tell no camera."""
+    Raises DataError: there are too few views, or they tell no camera, or a lens that is refused where it is read."""
     if len(views) < LEAST_VIEWS:
         what = f"the board is seen in {len(views)} different ways; expected at least {LEAST_VIEWS}"
         raise DataError(f"{name}: {what}, tilted, near and far, and a look at --board")
@@ -160,6 +160,11 @@ def calibrate(name: str, views: Sequence[View], size: Size, model: str = PINHOLE
     except cv2.error as error:
         what = "these views tell no camera; expected the board tilted, near and far, all over the picture"
         raise DataError(f"{name}: {what}") from error
+    try:
+        lens_of(name, told_by(lens, name))
+    except DataError as error:
+        what = "these views tell no lens that there is; expected the board near the picture's corners, too"
+        raise DataError(f"{name}: {what} ({str(error).removeprefix(f'{name}: ')})") from error
     counts = np.array([len(view.numbers) for view in good])
     return Calibration(lens, float(np.sqrt(np.sum(errors**2 * counts) / counts.sum())), good, len(views) - len(good))
 

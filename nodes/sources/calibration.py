@@ -97,7 +97,15 @@ def pinhole(where: str, numbers: Floats) -> Floats:
 
 def read_calibration(path: Path) -> Lens:
     """A camera's calibration. Raises DataError, with file, field and what was expected: it is missing or damaged."""
-    return lens_of(str(path), _read_xml(path) if path.suffix.lower() == ".xml" else read_yaml(path, _EXPECTED))
+    return lens_of(str(path), _content(path))
+
+
+def check_kind(path: Path) -> None:
+    """See that a file is a calibration, of whatever lens. Raises DataError: it is missing, or something else."""
+    content = _content(path)
+    for names in (_WIDTH, _HEIGHT):
+        _pixels(str(path), content, names)
+    _matrix(str(path), content, _MATRIX)
 
 
 def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
@@ -129,19 +137,24 @@ def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
 
 def write_calibration(lens: Lens, path: Path) -> None:
     """Write a calibration as ROS's camera_info. Raises DataError: it cannot be written."""
+    content = told_by(lens, path.stem)
+    write_whole(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120).encode())
+
+
+def told_by(lens: Lens, camera: str) -> dict[str, Any]:
+    """A calibration as ROS's camera_info of a camera of this name."""
     count = len(lens.coefficients)
     projection = np.hstack([lens.matrix, np.zeros((3, 1))])
-    content = {
+    return {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
-        "camera_name": path.stem,
+        "camera_name": camera,
         "camera_matrix": _plain(lens.matrix),
         _MODEL: FISHEYE if lens.fisheye else PINHOLE if count <= 5 else RATIONAL,
         "distortion_coefficients": _plain(lens.coefficients[None]),
         "rectification_matrix": _plain(np.eye(3)),
         "projection_matrix": _plain(projection),
     }
-    write_whole(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120).encode())
 
 
 def _plain(matrix: Floats) -> dict[str, Any]:
@@ -184,16 +197,29 @@ def _matrix(
     return name, values
 
 
+def _content(path: Path) -> dict[str, Any]:
+    return _read_xml(path) if path.suffix.lower() == ".xml" else read_yaml(path, _EXPECTED)
+
+
 def _read_xml(path: Path) -> dict[str, Any]:
     """OpenCV's XML, as its YAML would be read."""
     try:
         root = ElementTree.fromstring(read_file(path, _EXPECTED))
     except ElementTree.ParseError as error:
         raise DataError(f"{path}, line {error.position[0]}: no XML ({error}); expected {_EXPECTED}") from error
-    content: dict[str, Any] = {}
-    for entry in root:
-        data = entry.find("data")
-        words = ((data if data is not None else entry).text or "").split()
+    return {entry.tag: _xml_value(path, entry) for entry in root}
+
+
+def _xml_value(path: Path, entry: ElementTree.Element) -> Any:
+    """A matrix, a number or a word; of a text of several words, which tells nothing of a lens, an empty one."""
+    data = entry.find("data")
+    words = ((entry if data is None else data).text or "").split()
+    if data is None and len(words) != 1:
+        return ""
+    try:
         values = [yaml.load(word, Loader) for word in words]
-        content[entry.tag] = {"data": values} if data is not None else values[0] if len(values) == 1 else ""
-    return content
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        if data is None:
+            return words[0]
+        raise DataError(f"{path}: {entry.tag}: cannot be read; expected numbers with blanks between them") from error
+    return values[0] if data is None else {"data": values}

@@ -24,6 +24,11 @@ class DataError(HieraxError):
     """A file, or what a camera gives, is missing or damaged; the message names it and what was expected."""
 
 
+def told_of(error: Exception) -> str:
+    """The kind of an error of a library, and the first line of what it says."""
+    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]:.200}"
+
+
 def read_file(path: Path, expected: str) -> bytes:
     """What is in a file. Raises DataError, which says what was expected: it is missing, no file, or too large."""
     try:

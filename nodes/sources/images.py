@@ -1,5 +1,6 @@
 """Images of files, checked before they are decoded, and read ahead."""
 
+import re
 import struct
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,6 +19,8 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
 MAX_PIXELS = 1 << 25  # of an image: a small file may unpack to gigabytes
 AHEAD = 8  # how many images are read ahead at most
 
+_EXPECTED = "an image: PNG, JPEG, TIFF, BMP or PNM"
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\xff]")
 _TRAILING_BYTES = 1024  # some cameras write a little behind an image's end
 
 Place = TypeVar("Place")
@@ -46,20 +49,27 @@ def check_depth(path: str, image: Array) -> None:
 def decode_image(path: str, data: bytes) -> Array:
     """What is in a file, or in a message, of 8 or 16 bits; `path`: what it is called in errors."""
     _check_end(path, data)
-    width, height = image_size(data) or (0, 0)
-    if width * height > MAX_PIXELS:
-        raise DataError(f"{path}: has {width}×{height} pixels; expected at most {MAX_PIXELS} in all")
+    size = image_size(data)
+    if size is None:  # of other kinds nobody knows how much they unpack to
+        raise DataError(f"{path}: cannot be decoded; expected {_EXPECTED}")
+    _check_pixels(path, *size)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise DataError(f"{path}: cannot be decoded: {error.err}; expected an image") from error
+        raise DataError(f"{path}: cannot be decoded: {error.err}; expected {_EXPECTED}") from error
     if image is None:
-        raise DataError(f"{path}: cannot be decoded; expected an image")
+        raise DataError(f"{path}: cannot be decoded; expected {_EXPECTED}")
+    _check_pixels(path, image.shape[1], image.shape[0])
     if image.dtype not in (np.uint8, np.uint16) or image.ndim > 3:
         raise DataError(f"{path}: {image.dtype} pixels; expected 8 or 16 bits")
     if image.ndim == 2:
         return image
     return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
+
+
+def _check_pixels(path: str, width: int, height: int) -> None:
+    if width * height > MAX_PIXELS:
+        raise DataError(f"{path}: has {width}×{height} pixels; expected at most {MAX_PIXELS} in all")
 
 
 def _check_end(path: str, data: bytes) -> None:
@@ -110,9 +120,9 @@ def image_size(data: bytes) -> tuple[int, int] | None:
             return _jpeg_size(data)
         if data[:4] in (b"II*\0", b"MM\0*"):
             return _tiff_size(data, "<" if data.startswith(b"II") else ">")
-        if data[:2] in (b"P2", b"P3", b"P5", b"P6"):
+        if data[:2] in (b"P1", b"P2", b"P3", b"P4", b"P5", b"P6"):
             words = [line.split(b"#")[0] for line in data[2:4096].splitlines()]
-            width, height = (int(word[:9]) for word in b" ".join(words).split()[:2])
+            width, height = (int(word) for word in b" ".join(words).split()[:2])
             return width, height
     except (struct.error, ValueError, IndexError):
         return None
@@ -121,12 +131,13 @@ def image_size(data: bytes) -> tuple[int, int] | None:
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     at = 2
-    while at + 9 < len(data):
-        marker, length = struct.unpack_from(">HH", data, at)
-        if 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
-            height, width = struct.unpack_from(">HH", data, at + 5)
+    while found := _JPEG_MARKER.search(data, at):  # what stands before a marker is passed over, as by libjpeg
+        marker, at = data[found.start() + 1], found.end()
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, at + 3)
             return width, height
-        at += 2 + length
+        if marker != 0x01 and not 0xD0 <= marker <= 0xD8:  # those have no length
+            at += struct.unpack_from(">H", data, at)[0]
     return None
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import cv2
 
-from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.files import DataError, told_of
 from hierax.nodes.sources.images import Array, decode_image
 from hierax.nodes.sources.played import colours, is_grey, quiet
 from hierax.nodes.sources.shots import Seen, Shot, Size, Source, check_size
@@ -18,6 +18,7 @@ REOPENS = " (reopen: true waits for it)"
 PATIENCE_S = 5.0  # after so long without a frame it is told that one is waited for
 
 _LOG = logging.getLogger(__name__)
+_MAX_MS = 2**31 - 1  # that OpenCV takes
 _END_S = 1.0  # so long the process waits at its end for a frame that is being read
 
 
@@ -70,7 +71,7 @@ class Live(Source):
         if not self._reopen:
             told = fault or f"no frame for {self._timeout_s:g} s; expected one within source_timeout{self._lacking()}"
             raise DataError(f"{self.name}: {told}{REOPENS}")
-        return Shot(belief["frame"], None, time.monotonic(), time.time(), reopened=max(self._opened, 0))
+        return Shot(belief["frame"], None, self._idle_s(belief), time.time(), reopened=max(self._opened, 0))
 
     def close(self) -> None:
         """Read no more. A frame that never comes is not waited for."""
@@ -80,7 +81,11 @@ class Live(Source):
 
     @abstractmethod
     def _stream(self) -> str:
-        """Have frames taken until that fails; why it did. Called in the thread; a DataError is told likewise."""
+        """Have frames taken until that fails; why it did. Called in the thread; what it raises is told likewise."""
+
+    def _idle_s(self, belief: Seen) -> float:
+        """The time of an epoch without a frame, by the clock of those that have one."""
+        return time.monotonic()
 
     def _lacking(self) -> str:
         """What a frame that does not come may wait for."""
@@ -115,6 +120,8 @@ class Live(Source):
                 fault = self._stream()
             except DataError as error:
                 fault = str(error).removeprefix(f"{self.name}: ")
+            except Exception as error:  # of a library, which has its own kinds: the thread goes on all the same
+                fault = told_of(error)
             with self._changed:
                 self._fault = fault
                 self._changed.notify_all()
@@ -159,7 +166,7 @@ class Captured(Live):
         of the first frame, and so nobody would see that it changes. Of motion JPEG each frame is decoded here."""
         if not (isinstance(self._target, str) and "://" in self._target):
             return cv2.VideoCapture(self._target), False
-        within = int(1000 * self._timeout_s)
+        within = min(int(1000 * self._timeout_s), _MAX_MS)
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, within, cv2.CAP_PROP_READ_TIMEOUT_MSEC, within]
         capture = cv2.VideoCapture(self._target, cv2.CAP_FFMPEG, limits)
         codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True)

@@ -7,7 +7,6 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.effects import Called
 from hierax.runtime.execution import single
 from hierax.runtime.execution.runner import NodeRunner
-from hierax.runtime.owner.effects import RESTART
 from hierax.runtime.watch.watcher import Watcher
 
 MAX_POLICIES = 64  # of how many policies of a node every one is called
@@ -30,7 +29,8 @@ def run_dry(deployment: Deployment) -> int:
 
     rates = deployment.roster.rates
     epochs = 1 if rates is None else rates.first_turns
-    terms = {name: replace(each, on_loss=RESTART) for name, each in deployment.terms.items()}  # no failure is let pass
+    # what fails alone would be detached, and nothing said
+    terms = {name: replace(each, on_loss="restart") for name, each in deployment.terms.items()}
     single.run(replace(deployment, probes=(), terms=terms), epochs=epochs, seed=0, watch=watch, acts=False)
     return len(runners) + counter.calls + sum(_call_other_policies(runner) for runner in runners.values())
 

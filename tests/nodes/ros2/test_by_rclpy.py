@@ -6,10 +6,12 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from support import launched
 from support.cameras import filmed
 from support.launched import TESTS, Launched, environment, said_here
 
-from hierax.nodes.ros2.carrier import address_of, open_carrier
+from hierax.nodes.ros2.carrier import QOS, address_of, open_carrier
 from hierax.nodes.ros2.messages import messages
 from hierax.nodes.sources.calibration import read_calibration
 from hierax.nodes.sources.files import DataError
@@ -119,3 +121,22 @@ def test_without_rclpy_it_is_told_what_to_do() -> None:
         DataError, match=r"ros:/image: rclpy cannot be imported .*; expected a shell in which ROS's set"
     ):
         open_carrier(address_of("ros:/image", ()), "test")
+
+
+@pytest.mark.parametrize("failing", ["init", "create_node", "create_subscription", "create_publisher"])
+def test_what_rclpy_refuses_is_told_and_leaves_nothing_open(failing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rclpy = MagicMock()
+    for name in ("rclpy", "rclpy.executors", "rclpy.signals", "rclpy.context", "rclpy.qos", "std_msgs.msg"):
+        monkeypatch.setitem(sys.modules, name, rclpy)
+    rclpy.ExternalShutdownException = InterruptedError
+    owner = rclpy if failing in ("init", "create_node") else rclpy.create_node.return_value
+    getattr(owner, failing).side_effect = RuntimeError("rcl says no\nat length")
+    with pytest.raises(DataError, match=r"^ros:/image: .*rclpy refuses: RuntimeError: rcl says no; expected a ROS"):
+        heard_and_said()
+    assert rclpy.try_shutdown.call_count == (failing != "init")
+
+
+def heard_and_said() -> None:
+    with closing(open_carrier(address_of("ros:/image", ()), "test")) as carrier:
+        carrier.publisher("/one", "std_msgs/msg/String", QOS["reliable"])
+        carrier.subscribe("/two", "std_msgs/msg/String", QOS["reliable"], lambda *_: None)

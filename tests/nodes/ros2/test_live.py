@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 from rosbags.serde import SerdeError
-from support.bags import STORE, camera_info, compressed, image
+from support.bags import STORE, camera_info, compressed, image, made
 from support.topics import Talker, joints, router, stamped, transforms
 
 from hierax.nodes.ros2 import by_zenoh
 from hierax.nodes.ros2.carrier import LATCHED, QOS
+from hierax.nodes.ros2.live import TopicFrames, plain
 from hierax.nodes.ros2.messages import decoded
+from hierax.nodes.ros2.topics import Came
+from hierax.nodes.ros2.tracked import MARKERS, meshes
 from hierax.nodes.ros2.world import TopicsWorld, topics_heard
 from hierax.nodes.sources.calibration import Lens
 from hierax.nodes.sources.camera import CameraWorld, picture_seen
@@ -113,6 +118,52 @@ def test_the_cameras_pose_is_that_of_tf_at_the_time_of_the_picture(where: str, t
         assert pose is not None
         np.testing.assert_allclose(pose[:3, :3] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
         np.testing.assert_allclose(pose[:3, 3], [belief["time_s"] - STEP_NS / 1e9, 0.0, 1.0], atol=1e-9)
+
+
+def test_a_picture_keeps_the_pose_that_was_found_for_it() -> None:
+    camera = TopicFrames(f"ros:{RAW}?world=map", 5.0, False, True)
+    turn = (0.0, 0.0, 0.0, 1.0)
+    for stamp_ns in (STEP_NS, 3 * STEP_NS):
+        camera._transforms.add(transforms(stamp_ns, "map", "lens", (1.0, 0.0, 0.0), turn), False)
+    came = Came(1, 2 * STEP_NS, 0, stamped(image(0, numbered(1), "mono8"), 2 * STEP_NS))
+    assert camera._is_ready(came)
+    camera._transforms.add(transforms(0, "map", "lens", (7.0, 0.0, 0.0), turn), False)  # time began anew
+    pose = camera._shot({"image": came}).camera
+    assert pose is not None
+    np.testing.assert_array_equal(pose[:3, 3], [1.0, 0.0, 0.0])
+
+
+def test_while_a_topic_stalls_time_goes_on_by_the_clock_of_its_stamps(where: str, talker: Talker) -> None:
+    begun_ns, begun_s = 1_750_000_000 * 10**9, time.monotonic()
+    waiting = CameraWorld(f"ros+zenoh://{where}{RAW}", source_timeout=0.2, reopen=True, straighten=False)
+    belief = waiting.initial_belief()
+    assert (belief["image"], belief["time_s"]) == (None, 0.0)  # nobody knows what time it is
+    picture = stamped(image(0, numbered(1), "mono8"), begun_ns)
+    for _ in range(100):
+        talker.say(RAW, picture, QOS["sensor_data"])
+        belief = waiting.predict((), (), belief)
+        if belief["image"] is not None:
+            break
+    assert belief["time_s"] == begun_ns / 1e9
+    times = [belief["time_s"]]
+    while belief["image"] is not None or len(times) < 3:
+        belief = waiting.predict((), (), belief)
+        times.append(belief["time_s"])
+    assert times == sorted(times)
+    assert times[0] < times[-1] < times[0] + time.monotonic() - begun_s
+
+
+def test_a_picture_within_a_message_is_its_fields_be_it_empty_or_of_any_encoding() -> None:
+    body = {"id": 1, "model": {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}}
+    marked: Any = decoded(STORE.serialize_cdr(meshes([body])[2], MARKERS).tobytes(), MARKERS)
+    heard = plain("marks", marked)
+    assert len(heard["markers"][0]["texture"]["data"]) == 0
+    assert encode_value(heard)
+    region = made("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    told = {"f": 1.0, "t": 1.0, "valid_window": region, "min_disparity": 0.0, "max_disparity": 1.0, "delta_d": 0.1}
+    depths = image(0, np.zeros((2, 8), np.uint8), "32FC1", width=2)
+    heard = plain("depth", made("stereo_msgs/msg/DisparityImage", header=depths.header, image=depths, **told))
+    assert (heard["image"]["encoding"], heard["image"]["data"].shape) == ("32FC1", (16,))
 
 
 def said_of(name: str, told: str) -> str:

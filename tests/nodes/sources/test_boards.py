@@ -72,6 +72,25 @@ def test_too_few_views_and_pictures_of_two_sizes_are_told() -> None:
         find_views("drawn", CHESSBOARD, [], 60, lambda *_: None)
 
 
+def folding_views() -> list[View]:
+    """The board in the picture's middle alone, by a lens that folds what is around it."""
+    rng, found = np.random.default_rng(SEED), []
+    number = np.arange(54)
+    board = 0.025 * np.stack([number % 9, number // 9, 0.0 * number], axis=1)[:, None]
+    matrix = np.array([[610.0, 0.0, 318.4], [0.0, 610.0, 241.2], [0.0, 0.0, 1.0]])
+    for _ in range(6):
+        turn, shift = rng.uniform(-0.3, 0.3, 3), rng.uniform([-0.13, -0.09, 0.8], [-0.07, -0.03, 0.9])
+        pixels, _ = cv2.projectPoints(board, turn, shift, matrix, np.array([-3.0, 0.0, 0.0, 0.0]))
+        found.append(View(number, board, pixels))
+    return found
+
+
+def test_what_would_not_be_read_again_is_refused() -> None:
+    told = "drawn: these views tell no lens that there is; expected the board near the picture's corners, too (distort"
+    with pytest.raises(DataError, match=re.escape(told)):
+        calibrate("drawn", folding_views(), SIZE)
+
+
 def test_the_command_writes_a_calibration_that_can_be_read_and_a_picture_of_the_coverage(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,6 +110,11 @@ def test_the_command_writes_a_calibration_that_can_be_read_and_a_picture_of_the_
     assert main(asked) == 1
     assert "camera.yaml: is there already; --overwrite replaces it" in capsys.readouterr().err
     assert main([*asked, "--overwrite"]) == 0
+    folding = Path("camera.yaml").read_text().replace("data: [-0.2", "data: [-50.2")
+    Path("camera.yaml").write_text(folding)
+    assert "-50.2" in folding
+    assert main([*asked, "--overwrite"]) == 0
+    read_calibration(Path("camera.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -135,6 +159,7 @@ def _session_that_must_not_begin(*_: object) -> None:
         (".", [], 2, "--output '.': expected the name of a file, such as camera.yaml"),
         ("/", [], 2, "--output '/': expected the name of a file, such as camera.yaml"),
         ("..", [], 2, "--output '..': expected the name of a file, such as camera.yaml"),
+        ("cam.xml", [], 2, "--output cam.xml: expected a name such as camera.yaml, as calibrations are written"),
         ("nodir/cam.yaml", [], 1, "nodir/cam.yaml: cannot be written: nodir is no folder that you may write to"),
         ("mine.txt/cam.yaml", [], 1, "mine.txt/cam.yaml: cannot be written: mine.txt is no folder that you may write"),
         ("d", ["--overwrite"], 1, "d: is a folder; expected the name of a file, such as camera.yaml"),

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from support.boards import CHESSBOARD, FISHEYE, PINHOLE, SIZE, pictures
 
-from hierax.nodes.sources.calibration import Lens, read_calibration, write_calibration
+from hierax.nodes.sources.calibration import Lens, check_kind, read_calibration, write_calibration
 from hierax.nodes.sources.files import DataError
 
 COEFFICIENTS = PINHOLE.coefficients.tolist()
@@ -53,6 +53,8 @@ def test_ros_writes_numbers_as_it_likes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["camera.yml", "camera.xml"])
 def test_what_opencv_writes_is_read(name: str, tmp_path: Path) -> None:
     store = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
+    store.write("calibration_time", "Mon 04 Mar 2024 10:00:00 AM")
+    store.write("camera_serial", "%7")
     store.write("image_width", 640)
     store.write("image_height", 480)
     store.write("camera_matrix", PINHOLE.matrix)
@@ -181,6 +183,7 @@ def test_a_lens_without_distortion_says_so_by_an_empty_list_or_by_no_model(tmp_p
         ("a.yaml", "\x00\x01", "; expected a calibration"),
         ("a.xml", "<opencv_storage>", ", line 1: no XML"),
         ("a.xml", "<opencv_storage/>", "image_width: expected a number of pixels"),
+        ("a.xml", "<o><K><data>1 [ 2</data></K></o>", "a.xml: K: cannot be read; expected numbers with blanks"),
     ],
 )
 def test_what_is_no_calibration_is_told(name: str, content: str | None, told: str, tmp_path: Path) -> None:
@@ -190,3 +193,12 @@ def test_what_is_no_calibration_is_told(name: str, content: str | None, told: st
     with pytest.raises(DataError, match=re.escape(str(path))) as raised:
         read_calibration(path)
     assert told in str(raised.value)
+
+
+def test_a_calibration_of_a_lens_that_cannot_be_is_one_nevertheless(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(yaml.safe_dump(ROS | {"distortion_coefficients": {"data": [-50.0, 0.0, 0.0, 0.0]}}))
+    check_kind(path)
+    path.write_text(yaml.safe_dump({"image_width": 640, "image_height": 480, "title": "a picture"}))
+    with pytest.raises(DataError, match="camera_matrix: expected a matrix with rows, cols and data"):
+        check_kind(path)

@@ -14,8 +14,8 @@ from hierax.nodes.sources import live
 from hierax.nodes.sources.camera import CameraWorld, picture_seen
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import Array
-from hierax.nodes.sources.live import Live
-from hierax.nodes.sources.shots import CameraBelief, Seen
+from hierax.nodes.sources.live import Captured, Live
+from hierax.nodes.sources.shots import CameraBelief, Seen, Shot
 
 WAITING: Seen = {
     "index": 0,
@@ -187,6 +187,31 @@ def test_a_source_may_be_closed_by_its_own_thread_and_before_it_was_asked() -> N
         with pytest.raises(DataError, match="held: was closed by itself"):
             held.shot(WAITING)
     Held("held", 20.0, False).close()
+
+
+class Failing(Live):
+    """Fails as libraries do, and goes well when it is opened again."""
+
+    def _stream(self) -> str:
+        self._opened += 1
+        if not self._opened:
+            raise RuntimeError("rcl says no\nat length")
+        self._take(Shot(0, GREY[0], 1.0))
+        self._closed.wait()
+        return "was closed"
+
+
+def test_whatever_a_library_raises_is_told_or_has_the_source_opened_again() -> None:
+    with pytest.raises(DataError, match=re.escape("rig: RuntimeError: rcl says no (reopen: true waits for it)")):
+        Failing("rig", 20.0, False).shot(WAITING)
+    again = Failing("rig", 20.0, True)
+    assert (again.shot(WAITING).frame, again._opened) == (0, 1)
+    again.close()
+
+
+def test_a_timeout_of_months_is_one_that_opencv_takes() -> None:
+    with pytest.raises(DataError, match="none: cannot be opened"):
+        Captured("http://127.0.0.1:9/none", 3e6, False).shot(WAITING)
 
 
 def test_a_long_wait_is_told_early(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
