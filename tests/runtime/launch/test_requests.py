@@ -40,7 +40,12 @@ def asked(terms: dict[str, Any], name: str = "big", staleness: Staleness = BARRI
     )
     members = {"world": "0", "big": "1"}
     fake = SimpleNamespace(
-        orders=orders, changes=PendingChanges(), members=members, start=start, send_to_owner=send_to_owner
+        orders=orders,
+        changes=PendingChanges(),
+        members=members,
+        start=start,
+        send_to_owner=send_to_owner,
+        save=lambda: done.append("written down"),
     )
     change = Replace(name, Reference("hierax.runtime.sim.nodes:Mixer", {}))
     query = {"ask": "change", "change": change.plain(), "terms": {name: terms}}
@@ -53,7 +58,8 @@ def test_the_owner_hears_of_a_change_before_any_process_comes_for_it() -> None:
     """One that came first would be turned away, and the change would wait for another until it is given up."""
     answer, done = asked({})
     assert answer == {"epoch": 7}
-    assert done[1:] == [f"newcomer big for {done[0]}"]
+    written, heard, started = done
+    assert (written, started) == ("written down", f"newcomer big for {heard}")
 
 
 def test_a_rate_that_would_mean_nothing_is_refused() -> None:

@@ -47,6 +47,7 @@ class FewOrders:
 
     run_id = "0"
     deployment = Deployment
+    left = None
 
     def terms(self, name: str) -> ProcessTerms:
         return ProcessTerms()
@@ -353,7 +354,7 @@ def test_a_disk_that_is_full_when_a_change_is_made_ends_no_run_and_is_told_once(
         def outdate(self) -> None:
             done.append("what was written is outdated")
 
-        def save(self) -> None:
+        def save(self, coming: Mapping[str, Mapping[str, ProcessTerms]]) -> None:
             if not next(room):
                 raise HieraxError("run.json: cannot be written: No space left on device")
 
