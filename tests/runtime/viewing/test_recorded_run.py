@@ -96,5 +96,6 @@ def test_a_recording_without_steps_has_nothing_to_show_and_says_why(
     capsys.readouterr()
     assert main(["view", str(path), "--save", str(tmp_path / "part.rrd")]) == 1
     assert capsys.readouterr().err.splitlines()[-1] == (
-        f"error: {path}: there is no committed epoch in it from 1 to its end: steps/** was left out (--exclude)"
+        f"error: {path}: no step of the world is recorded, so it is not known which epochs were committed: "
+        "steps/world was left out (--exclude steps/**)"
     )
