@@ -9,8 +9,7 @@ from contextlib import contextmanager
 
 from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.streams import StandardOutputError, drop_output, own_errors
-from hierax.runtime.host.streams import printable as printable
+from hierax.runtime.host.streams import StandardOutputError, drop_output, own_errors, printable
 from hierax.schemas.errors import SchemaError
 
 OK, FAILED, USAGE, BUG = range(4)

@@ -13,10 +13,10 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO
 
-from hierax.runtime.commands.errors import printable
 from hierax.runtime.commands.options import Format, OutputFormat, option
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders, meant
+from hierax.runtime.host.streams import printable
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.watch.logs import AUDIT, LAUNCH, LAUNCH_FILE, OUTPUT, SUFFIX
 

@@ -115,7 +115,7 @@ class SingleNodes(Host):
         self._terms = dict(deployment.terms)
         self._failed: set[str] = set()
         self._trials: dict[str, _Trial] = {}
-        self._tried: dict[str, NodeLoader] = {}  # of nodes that were asked for, and are yet to come
+        self._built: dict[str, NodeLoader] = {}  # of nodes that were asked for, and are yet to come
         self._roster = deployment.roster
         self._world = deployment.roster.world
         self._network = MemoryNetwork(self.seed)
@@ -151,13 +151,13 @@ class SingleNodes(Host):
         roster = self._roster
         for each in [*(scheduled.change for scheduled in self._schedule if scheduled.epoch <= epoch), change]:
             roster = next_roster(roster, each)
-        self._try(change, roster)
+        self._build(change, roster)
         self._schedule.append(Scheduled(epoch, change, terms))
         self._schedule.sort(key=lambda scheduled: scheduled.epoch)
         self._begins.due.add(epoch)
         return epoch
 
-    def _try(self, change: Change, roster: Roster) -> None:
+    def _build(self, change: Change, roster: Roster) -> None:
         """Build what a change brings, which its first epoch begins with. Raises `HieraxError` if that cannot be."""
         for name in new_nodes(change):
             loader = NodeLoader(name, self._setting, self._allowance)
@@ -166,7 +166,7 @@ class SingleNodes(Host):
                 node.initial_belief(0, 0.0)
             elif name in self.runners:
                 self._taken_over(name, node)
-            self._tried[name] = loader
+            self._built[name] = loader
         for name in touched(self._roster, roster) & self._loaders.keys() - new_nodes(change).keys():
             self._loaders[name].wiring(roster)
 
@@ -314,8 +314,8 @@ class SingleNodes(Host):
             self._network.queue_size = max(self._network.queue_size, QUEUE_SIZE + 2 * rates.reach)
 
     def _come(self, name: str, epoch: int, replaces: bool) -> None:
-        tried = self._tried.pop(name, None)
-        loader = self._loaders[name] = tried or NodeLoader(name, self._setting, self._allowance)
+        built = self._built.pop(name, None)
+        loader = self._loaders[name] = built or NodeLoader(name, self._setting, self._allowance)
         wiring = loader.wiring(self._roster)
         saved: Saved | None = None
         if replaces:

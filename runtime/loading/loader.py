@@ -35,8 +35,8 @@ class LoadError(PlacedError):
     ``edges.world -> arm.sense.function``."""
 
 
-_deployments_paths: list[str] = []  # folders of modules that deployments have brought: of the newest one, last
-_newest_paths: list[str] = []
+_deployments_paths: list[str] = []  # folders of modules that deployments have brought to this process
+_newest_paths: list[str] = []  # of the last one, whether it has brought them or they were there
 
 
 def extend_import_path(paths: Iterable[str]) -> None:
@@ -274,10 +274,6 @@ def _parameters(target: Callable[..., Any]) -> list[inspect.Parameter]:
 def _import(name: str, where: str) -> ModuleType:
     try:
         module = importlib.import_module(name)
-        _check_whose(name.partition(".")[0], where)
-        return module
-    except LoadError:
-        raise
     except ModuleNotFoundError as error:
         lacking = error.name or name
         if lacking != name and not name.startswith(f"{lacking}."):
@@ -285,17 +281,19 @@ def _import(name: str, where: str) -> ModuleType:
         raise LoadError(f"there is no module {lacking!r}{_nearest_module(lacking)}", where) from error
     except (Exception, SystemExit) as error:
         raise LoadError(f"importing {name!r} raised {_told(error)}", where) from error
+    _check_whose(name.partition(".")[0], where)
+    return module
 
 
 def _check_whose(name: str, where: str) -> None:
     """Raises `LoadError` where a module is another deployment's, which this process has run before, and the newest one
     has one of that name, too: Python imports one alone."""
     file = getattr(sys.modules.get(name), "__file__", None)
-    if file is None:
+    others = [path for path in _deployments_paths if path not in _newest_paths]
+    if file is None or not any(_is_in(file, name, path) for path in others):
         return
-    found = next((path for path in _deployments_paths if _is_in(file, name, path)), None)
     own = PathFinder.find_spec(name, _newest_paths)
-    if found is None or found in _newest_paths or own is None or own.origin in (None, file):
+    if own is None or own.origin in (None, file):
         return
     what = f"module {name!r} of another deployment, {file}, is in this process already, beside {own.origin}"
     raise LoadError(f"{what}; run one of them in a process of its own, or name its modules otherwise", where)

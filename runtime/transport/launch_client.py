@@ -19,6 +19,7 @@ import zenoh
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_secret import whose
+from hierax.runtime.loading.allowance import Refusals
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.transport.access_control import launch_alone
 from hierax.runtime.transport.control import CHANGES, answers_on
@@ -116,7 +117,7 @@ class LaunchClient:
     ) -> None:
         self.endpoint = endpoint  # of the hub
         self._keys = keys  # of the run; None: they are found out, which fails where several answer
-        self._warned_of: set[str] = set()  # nodes
+        self._unread = Refusals()
         self._role, until = whose(secret) or (OPERATOR, None)  # whose key it has; the run's own will do for that
         try:  # a client, as the processes of the run would link to a peer
             self._session = open_session(
@@ -158,9 +159,8 @@ class LaunchClient:
         answer is not of the shape that was asked for is left out, which is said once."""
         found, unread = self._answers(status, question, names)
         for name in unread:
-            if name not in self._warned_of:
+            if self._unread.is_new(name):
                 _log.warning("%s: left out, as its process gives answers that cannot be read", name)
-            self._warned_of.add(name)
         return found
 
     def change(self, change: Change, terms: Mapping[str, object], here: bool = False, host: str = "") -> Answer:

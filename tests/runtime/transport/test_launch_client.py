@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.loading.allowance import Refusals
 from hierax.runtime.transport.launch_client import LaunchClient, is_gone
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import free_endpoint
@@ -27,7 +28,7 @@ class FakeClient(LaunchClient):
     def __init__(self, ps: Any = PS, **answers: list[Any]) -> None:
         self.endpoint = "tcp/127.0.0.1:1"
         self._keys = Keys("toys", "5163af85")
-        self._warned_of: set[str] = set()
+        self._unread = Refusals()
         self._ps = ps
         self._told = answers
 
