@@ -19,7 +19,7 @@ class Clock(World):
     """Counts."""
 
     def initial_belief(self) -> Value:
-        return {"ticks": 0, "trail": [0, 0]}
+        return {"ticks": 0, "trail": {"steps": 0}}
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         return {**belief, "ticks": belief["ticks"] + 1}
@@ -73,7 +73,7 @@ def seen(belief: Value) -> Elements:
 
 
 def meddling(belief: Value) -> Elements:
-    belief["trail"].append(1)
+    belief["trail"]["steps"] = 1
     return (belief,)
 
 
@@ -97,7 +97,7 @@ def test_an_operator_that_changes_what_it_is_given_is_named(where: str, message:
 
 
 def test_so_is_an_edge_function() -> None:
-    with pytest.raises(OperatorError, match=r"world->low: sense in epoch 1: changed the belief .*belief\.trail"):
+    with pytest.raises(OperatorError, match=r"world->low: sense in epoch 1: changed the belief .*belief\.trail\.steps"):
         run(Meddler("nowhere"), meddling)
 
 
