@@ -18,8 +18,9 @@ from hierax.nodes.tracking.schema import FirstBody, FirstPose, Model
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 
-# Of the arm: standard deviations of where joints say that the camera is, in each axis; cubes are as their models.
-KNOWN = {"camera_m": 0.0002, "camera_rad": 0.0003, "model_tolerance_mm": 0.0}
+# Of the arm: standard deviations of where joints say that the camera is, in each axis, from one image to the next, and
+# in the long run; cubes are as their models.
+KNOWN = {"camera_m": 0.0002, "camera_rad": 0.0003, "drift_m": 0.001, "drift_rad": 0.001, "model_tolerance_mm": 0.0}
 
 
 class PickArm(CommandedNode, ArmNode):

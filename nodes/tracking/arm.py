@@ -14,7 +14,7 @@ from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.certainty import right
-from hierax.nodes.tracking.estimation.drift import joint_of
+from hierax.nodes.tracking.estimation.drift import joint_of, lasting
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -24,7 +24,7 @@ from hierax.nodes.tracking.estimation.tracked import (
     imagined,
     tracked_metrics,
 )
-from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert, log_se3
 from hierax.nodes.tracking.search.association import Associated, Estimate, Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
 from hierax.nodes.tracking.search.multistart import held, in_turn
@@ -47,6 +47,7 @@ class ArmNode(Node):
         start_m, start_rad: standard deviation of the first poses, in each axis.
         motion_m, motion_rad: of the objects' deviation from their prediction within a frame, when they are pushed.
         camera_m, camera_rad: of the reported camera's deviation from its course, while it moves.
+        drift_m, drift_rad: of how far that course is from the camera's in the long run; None: nothing bounds it.
         sure_score: a match that scores less is also looked for farther away.
         kept_score: an image that scores a pose below this does not support it.
         found_score: a lost object is found again at this score.
@@ -71,6 +72,8 @@ class ArmNode(Node):
         motion_rad: float = const.MOTION_RAD,
         camera_m: float = const.CAMERA_M,
         camera_rad: float = const.CAMERA_RAD,
+        drift_m: float | None = None,
+        drift_rad: float | None = None,
         sure_score: float = const.SURE_SCORE,
         kept_score: float = const.KEPT_SCORE,
         found_score: float = const.FOUND_SCORE,
@@ -95,6 +98,7 @@ class ArmNode(Node):
         motion = diagonal_covariance(motion_m, motion_rad)
         self._options = Options(motion, sure_score, tolerance=tolerance)
         self._reports = diagonal_covariance(camera_m, camera_rad)
+        self._lasts = np.repeat([lasting(camera_m, drift_m), lasting(camera_rad, drift_rad)], 3)
         self._sizes = const.SAME_SIZE if tolerance == 0.0 else const.SIZES
         self._kept_score = kept_score
         self._found_score = found_score
@@ -128,7 +132,8 @@ class ArmNode(Node):
         reported = np.asarray(seen["camera"], dtype=np.float64)
         before, said = belief["camera"], belief["reported"]
         still = said is None or np.array_equal(said, reported)
-        camera = reported @ belief["drift"] if before is None or said is None or not still else before
+        drift = belief["drift"] if still else self._left_of(belief["drift"])
+        camera = reported @ drift if before is None or said is None or not still else before
         moved = np.eye(4) if before is None else invert(camera) @ before
         objects: _Objects = tuple(
             {
@@ -157,7 +162,7 @@ class ArmNode(Node):
         return {
             "camera": camera,
             "reported": reported,
-            "drift": belief["drift"] if found is None else belief["drift"] @ exp_se3(-found.drift),
+            "drift": drift if found is None else drift @ exp_se3(-found.drift),
             "together": None if reports is None else belief["together"] if found is None else found.together,
             "intrinsics": np.asarray(seen["intrinsics"], dtype=np.float64),
             "size": (width, height),
@@ -215,8 +220,12 @@ class ArmNode(Node):
         motion = np.stack([self._motion(item) for item in objects])
         falling = np.stack([held(self._options.motion, item["support"], const.FALLING, 1.0) for item in known])
         options = self._options._replace(motion=motion, falling=falling)
-        joint = None if reports is None else joint_of(known, together, reports, self._sizes)
+        joint = None if reports is None else joint_of(known, together, reports, self._sizes, self._lasts)
         return associate(image, known, joint, np.asarray(intrinsics), options)
+
+    def _left_of(self, drift: Floats) -> Floats:
+        """What is left of a drift in the next image."""
+        return drift if np.all(self._lasts == 1.0) else exp_se3(self._lasts * log_se3(drift))
 
     def _corrected(self, objects: _Objects, found: Associated | None) -> _Objects:
         """The objects after the image."""

@@ -6,9 +6,15 @@ too high has everything too far away, and no single image says which of it is wr
 its report, and objects with it. Hence the covariance of all of them together is kept, as in simultaneous localisation
 and mapping (Smith, Self and Cheeseman, 1990).
 
+Of a camera that is carried about by hand nothing says how far its drift goes in the end: it is a random walk. One on an
+arm is where joints say, but for so much: there it is a first-order Gauss-Markov process, which forgets. Else whatever
+most objects do together at once, as a tower that somebody pushes, would be the camera's drift, once that had time to
+become uncertain.
+
 How large an object is beside its model is part of that, for the same reason: what is larger looks as if it were nearer.
 Where it stands tells both, as far as it is known where the camera is."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,9 +26,32 @@ from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import TRACKED, Together, TrackedObject
 
+_ALL = np.ones(6)
+
+
+def lasting(report: float, drift: float | None) -> float:
+    """Which share of a drift is left in the next image.
+
+    Args:
+        report: standard deviation of the error that is drawn anew in each image, in metres or radians.
+        drift: of the drift, in the long run, in the same unit; None: nothing bounds it.
+
+    Raises ValueError: the drift changes by more than that from one image to the next.
+    """
+    if drift is None:
+        return 1.0
+    change = const.DRIFTS * report
+    if not change < drift < math.inf:
+        raise ValueError(f"a drift of {drift}; expected more than {change:g}, by which it changes from image to image")
+    return math.sqrt(1.0 - (change / drift) ** 2)
+
 
 def joint_of(
-    objects: Sequence[TrackedObject], together: Together | None, reports: Floats, sizes: float = const.SIZES
+    objects: Sequence[TrackedObject],
+    together: Together | None,
+    reports: Floats,
+    sizes: float = const.SIZES,
+    lasts: Floats = _ALL,
 ) -> Floats:
     """`hierax.nodes.tracking.estimation.fusion.Prior.joint` of the objects.
 
@@ -30,8 +59,11 @@ def joint_of(
         together: what is known since the image before; None: nothing.
         reports: (6, 6) covariance of the error that is drawn anew in each image.
         sizes: how large what has an exact model may be beside it, as a share.
+        lasts: (6,) which share of the drift is left since the image before, along and about each axis.
     """
     whole = _continued(objects, together, sizes)
+    whole[Rows.drift] *= lasts[:, None]
+    whole[:, Rows.drift] *= lasts
     whole[Rows.drift, Rows.drift] += const.DRIFTS**2 * reports
     for at, item in enumerate(objects):
         if item["stands"]:

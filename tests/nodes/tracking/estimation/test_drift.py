@@ -10,7 +10,7 @@ from support.boxes import INTRINSICS, Box, photograph
 from support.drawn import BOXES, all_expected
 
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.estimation.drift import joint_of, together_of
+from hierax.nodes.tracking.estimation.drift import joint_of, lasting, together_of
 from hierax.nodes.tracking.estimation.fusion import Rows
 from hierax.nodes.tracking.math.geometry import exp_se3, invert, looking_down, make_pose, pose_error
 from hierax.nodes.tracking.model.mesh import box_mesh
@@ -89,30 +89,64 @@ def test_what_stands_tells_of_the_camera_too() -> None:
     assert np.linalg.eigvalsh(joint).min() > 0.0
 
 
+def test_a_bounded_drift_becomes_as_uncertain_as_it_is_in_the_long_run_and_no_more() -> None:
+    lasts = np.repeat([lasting(0.0015, 0.004), lasting(0.0025, 0.003)], 3)
+    together, free = None, None
+    for _ in range(300):
+        joint = joint_of([], together, REPORTS, lasts=lasts)
+        together = together_of([], [], joint[np.ix_(np.arange(6), np.arange(6))])
+        free = together_of([], [], joint_of([], free, REPORTS)[:6, :6])
+    assert together is not None
+    assert free is not None
+    np.testing.assert_allclose(np.sqrt(np.diag(together["covariance"])), [0.004] * 3 + [0.003] * 3, rtol=1e-6)
+    assert np.sqrt(free["covariance"][0, 0]) > 0.015  # a random walk
+
+
+def test_what_goes_with_a_drift_that_is_forgotten_goes_with_it_less() -> None:
+    items = all_expected(BOXES, [box.pose for box in BOXES])
+    known = related(items)
+    lasts = np.repeat([0.9, 0.8], 3)
+    joint = joint_of(items, together_of(items, [0, 1], known), REPORTS, lasts=lasts)
+    np.testing.assert_allclose(joint[Rows.drift, Rows.error.stop :], lasts[:, None] * known[:6, 6:])
+    np.testing.assert_array_equal(joint[Rows.error.stop :, Rows.error.stop :], known[6:, 6:])
+    assert np.linalg.eigvalsh(joint).min() > 0.0
+
+
+@pytest.mark.parametrize("drift", [0.0009, 0.0, -1.0, np.nan, np.inf])
+def test_a_drift_that_is_less_than_its_change_is_refused(drift: float) -> None:
+    with pytest.raises(ValueError, match=r"expected more than 0\.0009, by which it changes from image to image"):
+        ArmNode([], camera_m=0.0015, drift_m=drift)
+
+
 class Followed(NamedTuple):
     """What comes of a camera that moves above boxes; by image, but for the first half of them."""
 
     said: np.ndarray[Any, Any]  # how far the camera is said to be tilted beside the table, degrees
     believed: np.ndarray[Any, Any]  # how far it is believed to be
     off_mm: np.ndarray[Any, Any]  # of each object the pose's error, seen from the camera
+    away_mm: np.ndarray[Any, Any]  # by how much the camera is believed elsewhere than it is
 
 
-def followed(seed: int, larger: float = 1.0) -> Followed:
-    """Boxes stand on a table, and are so much larger than their models are."""
+def followed(seed: int, larger: float = 1.0, shaky: float = 1.0, pushed_m: float = 0.0, **options: Any) -> Followed:
+    """Boxes stand on a table, and are so much larger than their models are; the camera errs by such a share of
+    `JITTER`. Three images from the end all boxes are pushed so far at once. Options are those of `ArmNode`."""
     rng = np.random.default_rng(seed)
     stand = zip(PLACES, SIDES, strict=True)
     boxes = [make_pose(np.eye(3), np.array([x, y, larger * z / 2])) for (x, y), (_, _, z) in stand]
     cameras = [looking_down(0.4 + 0.015 * number, 0.7, 0.45, np.zeros(3)) for number in range(IMAGES)]
-    drift = np.cumsum(0.4 * rng.normal(size=(IMAGES, 6)) * JITTER, axis=0)
-    reported = [camera @ exp_se3(off + rng.normal(size=6) * JITTER) for camera, off in zip(cameras, drift, strict=True)]
+    jitter = shaky * JITTER
+    drift = np.cumsum(0.4 * rng.normal(size=(IMAGES, 6)) * jitter, axis=0)
+    reported = [camera @ exp_se3(off + rng.normal(size=6) * jitter) for camera, off in zip(cameras, drift, strict=True)]
     firsts = [{"id": at, "obj_id": at, "pose": invert(cameras[0]) @ pose} for at, pose in enumerate(boxes, start=1)]
     meshes = [box_mesh(sides) for sides in SIDES]
     models = [{"vertices": mesh.vertices, "faces": mesh.faces} for mesh in meshes]
     bodies = [{**first, "pose": pose, "model": model} for first, pose, model in zip(firsts, boxes, models, strict=True)]
-    arm, spatial, imagined = ArmNode(firsts), SpatialNode(bodies, table=True), SegmentedDepth()
+    arm, spatial, imagined = ArmNode(firsts, **options), SpatialNode(bodies, table=True), SegmentedDepth()
     low, high = arm.initial_belief(), spatial.initial_belief()
-    said, believed, off_mm = [], [], []
+    said, believed, off_mm, away_mm = [], [], [], []
     for number, (camera, report) in enumerate(zip(cameras, reported, strict=True)):
+        if number == IMAGES - 3:
+            boxes = [exp_se3(np.array([pushed_m, 0.0, 0.0, 0.0, 0.0, 0.0])) @ pose for pose in boxes]
         true = [invert(camera) @ pose for pose in boxes]
         sides = [(larger * x, larger * y, larger * z) for x, y, z in SIDES]
         drawn = [Box(at, side, pose) for at, (side, pose) in enumerate(zip(sides, true, strict=True), start=1)]
@@ -123,10 +157,11 @@ def followed(seed: int, larger: float = 1.0) -> Followed:
         off_mm.append(
             [1000.0 * pose_error(item["pose"], pose)[0] for item, pose in zip(low["objects"], true, strict=True)]
         )
+        away_mm.append(1000.0 * pose_error(low["camera"], camera)[0])
         high = spatial.observe(poses_seen(low), high, Tick(epoch=number + 1, time_s=number / 30.0))
         high = spatial.predict((), (), high)
         low = arm.predict(imagined(high), (), low)
-    return Followed(*(np.array(each[IMAGES // 2 :]) for each in (said, believed, off_mm)))
+    return Followed(*(np.array(each[IMAGES // 2 :]) for each in (said, believed, off_mm, away_mm)))
 
 
 def tilted(camera: np.ndarray[Any, Any], true: np.ndarray[Any, Any]) -> float:
@@ -145,3 +180,11 @@ def test_the_cameras_place_over_the_table_does_not_follow_each_report(seed: int)
 def test_what_is_larger_than_its_model_is_not_taken_for_nearer(larger: float) -> None:
     # By its size alone it would be 4.5 mm nearer, or farther away.
     assert np.median(followed(6, larger).off_mm) < 3.4
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_is_pushed_together_is_not_the_drift_of_a_camera_that_is_where_it_says(seed: int) -> None:
+    exact = {"shaky": 0.1, "pushed_m": 0.01, "camera_m": 0.0006, "camera_rad": 0.001}
+    bounds = {"drift_m": 0.0005, "drift_rad": 0.0008}
+    free, bounded = (followed(seed, **exact, **drift) for drift in ({}, bounds))
+    assert bounded.away_mm[-1] < 2.0 < 4.0 < free.away_mm[-1], f"seed {seed}"
