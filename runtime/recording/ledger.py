@@ -76,6 +76,11 @@ class Ledger:
         return max(wanted)
 
     @property
+    def rated(self) -> bool:
+        """Whether nodes have rates, by the last roster."""
+        return self._rates is not None
+
+    @property
     def settled(self) -> bool:
         """Whether nothing is known to have been said that was not heard."""
         return not self._missing

@@ -29,7 +29,7 @@ from hierax.schemas.keys import Keys
 
 BATCH_S = 0.05  # how long what is heard may wait to be written
 LINGER_S = 10.0  # how long what was said, by the words of others, may still be on its way at the end
-QUIET_S = 1.0  # how long nothing may come at the end before it is the end
+QUIET_S = 1.0  # with rates: how long nothing may come at the end before it is the end
 LOOK_S = 1.0
 CUT_OFF_LOOKS = 5
 """How often the launch is asked; how often in a row it has to be further, and nothing come, for a recorder to end."""
@@ -145,8 +145,8 @@ class LiveRecording:
         while not ledger.complete and time.monotonic() - begun_s < LINGER_S:
             if self._take(BATCH_S):
                 quiet_s = time.monotonic()
-            # where epochs overlap, or a node was detached, not everybody tells of the last epoch
-            if ledger.settled and ledger.ended and time.monotonic() - quiet_s > QUIET_S:
+            # with rates, not everybody tells of the last epoch; else who has not yet may be slow
+            if ledger.rated and ledger.settled and ledger.ended and time.monotonic() - quiet_s > QUIET_S:
                 return
 
 
