@@ -26,8 +26,6 @@ from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import TRACKED, Together, TrackedObject
 
-_ALL = np.ones(6)
-
 
 def lasting(report: float, drift: float | None) -> float:
     """Which share of a drift is left in the next image.
@@ -51,7 +49,7 @@ def joint_of(
     together: Together | None,
     reports: Floats,
     sizes: float = const.SIZES,
-    lasts: Floats = _ALL,
+    lasts: Floats | float = 1.0,
 ) -> Floats:
     """`hierax.nodes.tracking.estimation.fusion.Prior.joint` of the objects.
 
@@ -59,10 +57,10 @@ def joint_of(
         together: what is known since the image before; None: nothing.
         reports: (6, 6) covariance of the error that is drawn anew in each image.
         sizes: how large what has an exact model may be beside it, as a share.
-        lasts: (6,) which share of the drift is left since the image before, along and about each axis.
+        lasts: (6,) which share of the drift is left since the image before, along and about each axis, or in all.
     """
     whole = _continued(objects, together, sizes)
-    whole[Rows.drift] *= lasts[:, None]
+    whole[Rows.drift] *= np.reshape(lasts, (-1, 1))
     whole[:, Rows.drift] *= lasts
     whole[Rows.drift, Rows.drift] += const.DRIFTS**2 * reports
     for at, item in enumerate(objects):
