@@ -191,7 +191,7 @@ def decode_under_way(data: bytes, where: str = "under_way") -> UnderWay:
         return UnderWay()
     value = decode_value(data, where)
     is_it = type(value) is tuple and fits(value[:3], tuple[Value, tuple[bytes, ...], tuple[Forgotten, ...]])
-    if not is_it or not (value[0] == () or fits(value[0], tuple[int, Value])):
+    if not is_it or type(value[0]) is not tuple or not (value[0] == () or fits(value[0], tuple[int, Value])):
         raise SchemaError("expected an array of what was sensed, of messages, and of what is forgotten", where)
     if value[3:] and not fits(value[3:], tuple[dict[str, tuple[Value, ...]]]):
         raise SchemaError("expected what was gathered, by node, behind it, or nothing", where)

@@ -316,6 +316,8 @@ def read_change(value: Value) -> Change:
     if not isinstance(value, dict):
         raise SchemaError(f"expected a map, got {shown(value)}", "change")
     kind = value.get("change")
+    if not isinstance(kind, str):  # an array, compared with a text, is an array
+        raise SchemaError(f"expected attach, detach or replace, got {shown(kind)}", "change.change")
     if kind == "attach":
         fields = read_mapping(value, {"change", "nodes", "edges"}, "change", {"turns"})
         nodes, edges = read_nodes(fields["nodes"], "change.nodes"), read_edges(fields["edges"], "change.edges")

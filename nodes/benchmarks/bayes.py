@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.causal_tree import Inference, random_tree
-from hierax.nodes.causal_tree.networks import import_quietly
+from hierax.nodes.causal_tree.bif import import_quietly
 from hierax.runtime.core.errors import HieraxError
 
 STATES = 4  # of each node

@@ -5,6 +5,7 @@ prior but the causal support that came down along the arrow, and belongs to this
 a network by itself, and is swept as one."""
 
 import itertools
+import math
 import operator
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -275,14 +276,16 @@ def checked(message: Floats, size: int, parent: str) -> Floats:
 
 
 def checked_evidence(seen: Any, size: int, name: str) -> int | tuple[float, ...]:
-    """Evidence for a node with so many states. Raises ValueError: there is no state of that number, or the likelihoods
-    are more or fewer."""
+    """Evidence for a node with so many states. Raises ValueError: there is no state of that number, the likelihoods are
+    more or fewer, or they are none."""
     if type(seen) is int:
         if not 0 <= seen < size:
             raise ValueError(f"evidence for {name}: expected a state from 0 to {size - 1}, got {seen}")
         return seen
     if len(seen) != size:
         raise ValueError(f"evidence for {name}: expected {size} likelihoods, got {len(seen)}")
+    if not all(0.0 <= each < math.inf for each in seen):
+        raise ValueError(f"evidence for {name}: expected finite numbers of at least 0, got {tuple(seen)!r:.60}")
     return tuple(seen)
 
 

@@ -20,6 +20,7 @@ Description = Sequence[Mapping[str, Any]]
 
 MAX_NODES = 1 << 18
 MAX_STATES = 1 << 16  # of one node
+MAX_PARENTS = 62  # of one node: tables of several that are alike lie in one array, which has 64 axes at most
 MAX_TABLE_BYTES = 1 << 27  # all tables of a network together: 16.7 million numbers
 
 # How far from 1 a distribution may sum: published tables are rounded. The numbers are used as they stand.
@@ -122,7 +123,7 @@ def _states(entry: Mapping[str, Any], name: Name) -> tuple[str, ...]:
         if states < 1:
             raise NetworkError(f"states: expected at least 1, got {states}", name)
         if states > MAX_STATES:
-            raise NetworkError(f"states: {int(states):.3g} of them; at most {MAX_STATES} are allowed", name)
+            raise NetworkError(f"states: {states!r:.20} of them; at most {MAX_STATES} are allowed", name)
         return _numbered(int(states))
     if isinstance(states, (str, bytes)) or not isinstance(states, Sequence) or not states:
         raise NetworkError(f"states: expected their number or a list of their names, got {states!r:.60}", name)
@@ -146,6 +147,8 @@ def _parents(entry: Mapping[str, Any], name: Name, entries: Mapping[Name, object
         return ()
     if isinstance(parents, (str, bytes)) or not isinstance(parents, Sequence):
         raise NetworkError(f"parents: expected a list of ids, got {parents!r:.60}", name)
+    if len(parents) > MAX_PARENTS:
+        raise NetworkError(f"parents: {len(parents)} of them; at most {MAX_PARENTS} are allowed", name)
     for place, parent in enumerate(parents):
         if not isinstance(parent, Hashable) or parent not in entries:
             raise NetworkError(f"parents: there is no node {parent!r:.60}", name)

@@ -2,15 +2,14 @@
 user may write."""
 
 import json
-import re
-import warnings
 from collections.abc import Mapping, Sequence
-from importlib import import_module
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hierax.nodes.causal_tree.bif import description_from
 from hierax.nodes.causal_tree.errors import EvidenceError, Name, NetworkError
 from hierax.nodes.causal_tree.extended_floats import Floats
 from hierax.nodes.causal_tree.network import MAX_NODES, MAX_STATES, Network, Variable, check_tables, parse
@@ -89,18 +88,22 @@ def checked_vector(value: Any, count: int, name: Name) -> Floats:
 def sampled(network: Network, random: np.random.Generator) -> dict[Name, int]:
     """A state for each node, drawn from the network."""
     found: dict[Name, int] = {}
-    waiting = list(network.variables.values())
-    while waiting:
-        later = []
-        for variable in waiting:
-            if not all(parent in found for parent in variable.parents):
-                later.append(variable)
-                continue
-            row = variable.table[tuple(found[parent] for parent in variable.parents)]
-            drawn = int(np.searchsorted(np.cumsum(row), random.random() * row.sum(), side="right"))
-            found[variable.name] = min(drawn, int(np.flatnonzero(row)[-1]))
-        waiting = later
+    for variable in _parents_first(network):
+        row = variable.table[tuple(found[parent] for parent in variable.parents)]
+        drawn = int(np.searchsorted(np.cumsum(row), random.random() * row.sum(), side="right"))
+        found[variable.name] = min(drawn, int(np.flatnonzero(row)[-1]))
     return found
+
+
+def _parents_first(network: Network) -> list[Variable]:
+    """The variables in the order of the description as far as each one's parents come before it: else in a later turn
+    of going through those that are left."""
+    places = {name: place for place, name in enumerate(network.variables)}
+    turns: dict[Name, int] = {}
+    parents = {name: variable.parents for name, variable in network.variables.items()}
+    for name in TopologicalSorter(parents).static_order():
+        turns[name] = max((turns[each] + (places[each] > places[name]) for each in parents[name]), default=0)
+    return sorted(network.variables.values(), key=lambda variable: turns[variable.name])
 
 
 def _state(variable: Variable, value: object) -> int:
@@ -125,7 +128,7 @@ def read_network(file: str | Path) -> Network:
         raise NetworkError(f"{path}: expected a file with the ending {', '.join(SUFFIXES)}")
     try:
         text = _text(path, MAX_BYTES[suffix])
-        return parse(_from_bif(path, text) if suffix == ".bif" else _from_text(text, path, suffix == ".json"))
+        return parse(description_from(path, text) if suffix == ".bif" else _from_text(text, path, suffix == ".json"))
     except DeploymentError as error:  # of YAML, which is told with its line
         raise NetworkError(str(error)) from error
     except NetworkError as error:
@@ -162,58 +165,3 @@ def _from_text(text: str, path: Path, is_json: bool) -> Any:
     except ValueError as error:
         raise NetworkError(f"is no JSON: {error}") from error
     return content["network"] if isinstance(content, dict) and "network" in content else content
-
-
-# Neither looks for an end that may be far off, or nowhere, or a file of nothing but beginnings would take for ever.
-_BIF_VARIABLE = re.compile(r'\bvariable\s+"?([^"\s{]+)"?\s*\{|\[\s*([0-9]{1,18})\s*\]')  # its name, or its states
-_BIF_TABLE = re.compile(r"\bprobability\s*\(([^){]*)")
-
-
-def _check_bif(text: str) -> None:
-    """Whether the tables that a BIF file announces may be had: pyAgrum makes them before it reads their numbers."""
-    states: dict[str, int] = {}
-    opened = ""
-    for name, count in _BIF_VARIABLE.findall(text):
-        if opened and count:
-            states[opened] = int(count)
-        opened = name
-    heads = [re.findall(r'[^\s,|"]+', head) for head in _BIF_TABLE.findall(text)]
-    many = next((name for name, count in states.items() if count > MAX_STATES), None)
-    if many is not None:
-        raise NetworkError(f"states: {states[many]:.3g} of them; at most {MAX_STATES} are allowed", many)
-    check_tables({head[0]: [states.get(name, 1) for name in head] for head in heads if head})
-
-
-def import_quietly(name: str) -> Any:
-    """A module whose import warns; where warnings are errors, those would end the process."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return import_module(name)
-
-
-def _from_bif(path: Path, text: str) -> list[dict[str, Any]]:
-    _check_bif(text)
-    try:
-        pyagrum = import_quietly("pyagrum")
-    except ModuleNotFoundError as error:
-        raise NetworkError("BIF needs pyAgrum, which is not installed: pip install 'hierax[bayes]'") from error
-    try:
-        net = pyagrum.loadBN(str(path))
-    except Exception as error:  # pyAgrum has many
-        told = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
-        raise NetworkError(f"is no BIF: {told.strip()}") from error
-    return description_of(net)
-
-
-def description_of(net: Any) -> list[dict[str, Any]]:
-    """The description of a network of pyAgrum's, a ``pyagrum.BayesNet``."""
-    description = []
-    for node in sorted(net.nodes()):
-        variable, table = net.variable(node), net.cpt(node)
-        name = variable.name()
-        parents = [axis for axis in table.names if axis != name]
-        axes = table.names[::-1]  # its arrays have the axes in the opposite order, whichever the table has
-        array = np.asarray(table.toarray(), np.float64).transpose([axes.index(axis) for axis in (*parents, name)])
-        numbers = {"cpt" if parents else "prior": array.tolist()}
-        description.append({"id": name, "states": list(variable.labels()), "parents": parents, **numbers})
-    return description

@@ -182,8 +182,11 @@ def causal_support(belief: Value, tick: Tick = NO_TICK) -> Elements:
 
 def under(network: Network, top: str, tops: Iterable[str]) -> tuple[str, ...]:
     """The nodes from one of `tops` on down to where another one of them begins, in the network's order. Raises
-    ValueError: `top` is not one of `tops`, or there is no such node."""
-    others = set(tops) - {top}
+    ValueError: `top` is not one of `tops`, if there are any, or there is no such node."""
+    given = set(tops)
+    if given and top not in given:
+        raise ValueError(f"top: {top!r} is none of the tops, {', '.join(sorted(map(repr, given)))}")
+    others = given - {top}
     for name in (top, *sorted(others, key=str)):
         if name not in network.variables:
             raise ValueError(f"tops: there is no node {name!r}")
@@ -205,7 +208,7 @@ def _checked_names(network: Network, names: Sequence[object]) -> list[str]:
     if isinstance(names, str) or not names:
         raise ValueError(f"nodes: expected a list of at least one, got {names!r}")
     checked = [name for name in names if isinstance(name, str) and name in network.variables]
-    unknown = [name for name in names if name not in checked]
+    unknown = [name for name in names if not isinstance(name, str) or name not in network.variables]
     if unknown:
         raise ValueError(f"nodes: there is no node {unknown[0]!r}, or its id is no text")
     if len(set(checked)) < len(checked):

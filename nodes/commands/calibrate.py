@@ -46,6 +46,7 @@ def calibrate(
     ] = None,
     model: Annotated[Model, typer.Option(help="Of the distortion; equidistant: a fisheye lens.")] = Model.plumb_bob,
     views: Annotated[int, typer.Option(min=5, max=60, help="So many different views are enough.")] = 40,
+    topic: Annotated[str | None, typer.Option(metavar="TOPIC", help="Of a bag that has pictures on several.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a calibration that is there.")] = False,
 ) -> int:
     """Calibrate a camera: show it a chessboard or a ChArUco board, tilted, near and far, all over the picture."""
@@ -60,7 +61,7 @@ def calibrate(
         bar = "█" * (20 * found // views)
         show_progress(f"\r[{bar:░<20}] {found} of {views} views, in {pictures} pictures ", end="")
 
-    found, size = boards.find_views(source, shown, _pictures(source), views, progress)
+    found, size = boards.find_views(source, shown, _pictures(source, topic), views, progress)
     show_progress("")
     told = boards.calibrate(source, found, size, model.value)
     write_calibration(told.lens, output)
@@ -104,13 +105,13 @@ def _check_replaced(output: Path) -> None:
         raise CommandError(f"{error}: --overwrite replaces calibrations alone; give another name") from error
 
 
-def _pictures(source: str) -> "Iterator[Array]":
+def _pictures(source: str, topic: str | None) -> "Iterator[Array]":
     """All frames of a source, until it ends."""
     from hierax.nodes.sources.camera import CameraWorld
     from hierax.nodes.sources.files import DataError
     from hierax.nodes.sources.live import REOPENS
 
-    world = CameraWorld(source, straighten=False)
+    world = CameraWorld(source, topic=topic, straighten=False)
     try:
         belief = world.initial_belief()
         while not belief["ended"]:

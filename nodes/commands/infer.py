@@ -16,6 +16,8 @@ from hierax.runtime.loading.nearest import did_you_mean
 if TYPE_CHECKING:
     from hierax.nodes.causal_tree import Network
 
+MOST_DIGITS = 18  # of a state's number
+
 
 def infer(
     network: Annotated[
@@ -90,7 +92,7 @@ def _evidence(network: "Network", given: Sequence[str]) -> dict[Any, Any]:
 
 def _value(text: str, states: Sequence[str]) -> Any:
     """What a user wrote: a state's name, its number, or likelihoods."""
-    if text.isdecimal() and text not in states:
+    if text.isdecimal() and text not in states and len(text) <= MOST_DIGITS:
         return int(text)
     if text.startswith("[") and text.endswith("]") and text not in states:
         with suppress(ValueError):

@@ -35,9 +35,10 @@ class BagFrames(Source):
     Args:
         path: the bag's folder, or a single file of it, .mcap or .db3.
         topic: which, where there are several with pictures.
+        calibrated: whether the lens is known already, and no CameraInfo is read.
     Raises DataError: it is damaged, has no such topic, or no picture there."""
 
-    def __init__(self, path: Path, topic: str | None = None) -> None:
+    def __init__(self, path: Path, topic: str | None = None, calibrated: bool = False) -> None:
         require("rosbags.rosbag2", path)
         from rosbags.rosbag2 import Reader
 
@@ -53,7 +54,7 @@ class BagFrames(Source):
                 self._count = sum(each.msgcount for each in self._images)
             if not self._count:
                 raise DataError(f"{self.name}: has no messages; expected pictures")
-            self.lens = self._told_lens()
+            self.lens = None if calibrated else self._told_lens()
         except BaseException:
             self.close()
             raise
@@ -109,7 +110,9 @@ def _choose(path: Path, connections: "Sequence[Connection]", topic: str | None) 
         if len(shown) == 1:
             return shown[0]
         if shown:
-            raise DataError(f"{path}: has pictures on {listed}; expected one of them as camera_topic")
+            raise DataError(
+                f"{path}: has pictures on {listed}; expected one of them as topic (camera_topic of tracking)"
+            )
         others = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items())) or "nothing"
         raise DataError(f"{path}: expected a topic of {_EXPECTED}, found {others:.400}")
     if topic not in kinds:

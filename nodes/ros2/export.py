@@ -1,5 +1,6 @@
 """A recording of tracking as a rosbag2: pictures, the camera, poses, frames and what is known of each object."""
 
+import logging
 import shutil
 import tempfile
 from collections import Counter
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.rosbag2 import Writer
 
+_LOG = logging.getLogger(__name__)
 _METADATA, _STORAGE = "metadata.yaml", ".mcap"
 
 
@@ -37,7 +39,7 @@ class Exported(NamedTuple):
 
 
 def export_rosbag(path: Path, folder: Path, poses: str = "arm", overwrite: bool = False) -> Exported:
-    """Write a rosbag2 (MCAP) of a recording whose world shows pictures.
+    """Write a rosbag2 (MCAP) of a recording whose world shows pictures. What the recording lacks has a line in the log.
 
     Args: path: the recording; folder: the bag's; poses: the node that believes the poses, `ArmNode` or like it;
         overwrite: replace a bag that is there.
@@ -47,6 +49,8 @@ def export_rosbag(path: Path, folder: Path, poses: str = "arm", overwrite: bool 
     require("rosbags.rosbag2", folder)
     try:
         recording = Recording.open(path)
+        if recording.loss:
+            _LOG.warning("%s: %s", path, recording.loss)
         with _replacing(folder, overwrite) as bag:
             topics = _Topics(bag)
             told = [_write_epoch(topics, str(path), epoch, poses) for epoch in recording.epochs()]

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import yaml
 
-from hierax.nodes.sources.files import DataError, Loader, read_file, read_numbers, read_yaml, write_whole
+from hierax.nodes.sources.files import DataError, Loader, read_file, read_numbers, read_yaml, shown, write_whole
 from hierax.nodes.sources.images import MAX_PIXELS, Array
 from hierax.nodes.sources.shots import Floats, Size, lens_matrix
 
@@ -117,7 +117,7 @@ def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
     intrinsics = pinhole(f"{path}: {name}", read_numbers(path, {name: values}, name, 9))
     model = content.get(_MODEL) or ("fisheye" if content.get("fisheye_model") in (1, "1", True) else "")
     if not isinstance(model, str) or model not in _MODELS:
-        raise DataError(f"{path}: {_MODEL}: expected one of {', '.join(filter(None, _MODELS))}, got {model!r:.40}")
+        raise DataError(f"{path}: {_MODEL}: expected one of {', '.join(filter(None, _MODELS))}, got {shown(model)}")
     _check_keys(path, content)
     name, values = _matrix(path, content, _COEFFICIENTS, None if model else [])  # who names a model gives its numbers
     counts = _MODELS[model] if any(values) else {count for each in _MODELS.values() for count in each}
@@ -128,6 +128,8 @@ def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
     if np.abs(coefficients).max(initial=0.0) > _MAX_COEFFICIENT:
         raise DataError(f"{path}: {name}: expected numbers of at most {_MAX_COEFFICIENT:g}")
     fisheye = model in (FISHEYE, "fisheye")
+    if fisheye:
+        coefficients = coefficients[:4]  # more are zeros, and OpenCV takes no more
     lens = Lens(path, size, intrinsics, coefficients if len(coefficients) else np.zeros(4), fisheye)
     if lens.folds():
         what = "bend the picture so far that parts of it lie upon others; expected those of a lens"
@@ -179,7 +181,7 @@ def _pixels(path: str, content: Mapping[str, Any], names: tuple[str, ...]) -> in
     name = _found(content, names)
     value = content.get(name)
     if type(value) is not int or not 0 < value <= MAX_PIXELS:
-        raise DataError(f"{path}: {name}: expected a number of pixels, got {value!r:.40}")
+        raise DataError(f"{path}: {name}: expected a number of pixels, got {shown(value)}")
     return value
 
 
@@ -207,6 +209,8 @@ def _read_xml(path: Path) -> dict[str, Any]:
         root = ElementTree.fromstring(read_file(path, _EXPECTED))
     except ElementTree.ParseError as error:
         raise DataError(f"{path}, line {error.position[0]}: no XML ({error}); expected {_EXPECTED}") from error
+    except (LookupError, ValueError) as error:  # of its encoding
+        raise DataError(f"{path}: no XML ({error}); expected {_EXPECTED}") from error
     return {entry.tag: _xml_value(path, entry) for entry in root}
 
 

@@ -45,7 +45,7 @@ def open_source(
     recording, a rosbag2, or a video.
 
     Args: fps: of what is played; timeout_s, reopen: of what is live, see `Live`; topic: of a bag, see `BagFrames`;
-        calibrated: whether the lens is known, so that none is waited for.
+        calibrated: whether the lens is known, so that none is waited for, nor read in a bag.
     Raises DataError: there is no such file, or it cannot be opened."""
     from hierax.nodes.sources.live import Captured
     from hierax.nodes.sources.played import Folder, Video
@@ -58,9 +58,9 @@ def open_source(
     if is_bag(source):
         from hierax.nodes.ros2.bag import BagFrames
 
-        return BagFrames(path, topic)
+        return BagFrames(path, topic, calibrated)
     if topic is not None:
-        raise DataError(f"{source}: is no bag of ROS 2; expected no camera_topic with it")
+        raise DataError(f"{source}: is no bag of ROS 2; expected no topic (camera_topic of tracking) with it")
     if str(source).isdecimal():
         return Captured(int(source), timeout_s, reopen)
     if "://" in str(source) or path.is_char_device():

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from yaml.constructor import ConstructorError
 
 from hierax.runtime.core.errors import HieraxError
 
@@ -48,6 +49,14 @@ def read_file(path: Path, expected: str) -> bytes:
 class Loader(yaml.SafeLoader):
     """Reads what PyYAML and OpenCV's FileStorage write."""
 
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """What a node holds. Raises ConstructorError: it is not what its tag says; PyYAML has errors of many kinds."""
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
+            what = f"{shown(node.value)} cannot be read as {node.tag.rpartition(':')[2]:.40}"
+            raise ConstructorError(None, None, what, node.start_mark) from error
+
 
 def _matrix(loader: Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     return loader.construct_mapping(node, deep=True)
@@ -83,6 +92,14 @@ def read_numbers(where: str, entry: Any, key: str, count: int) -> NDArray[np.flo
         if np.all(np.isfinite(numbers)):
             return numbers
     raise DataError(f"{where}: {key}: expected {count} numbers")
+
+
+def shown(value: Any) -> str:
+    """What came in place of what was expected, as errors tell it: a list or a map by its type alone, as a small file
+    may have huge ones, and a number that is too long to be written likewise."""
+    if isinstance(value, list | dict):
+        return "a list" if isinstance(value, list) else "a map"
+    return "a huge number" if isinstance(value, int) and abs(value) > _HUGE else f"{value!r:.40}"
 
 
 @contextmanager

@@ -2,9 +2,13 @@
 
 import re
 import struct
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+import threading
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeVar
 
 import cv2
@@ -18,13 +22,15 @@ Array = NDArray[Any]
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
 MAX_PIXELS = 1 << 25  # of an image: a small file may unpack to gigabytes
 AHEAD = 8  # how many images are read ahead at most
+END_S = 1.0  # so long the process waits at its end for what is being read
 
 _EXPECTED = "an image: PNG, JPEG, TIFF, BMP or PNM"
-_JPEG_MARKER = re.compile(rb"\xff[^\x00\xff]")
-_TRAILING_BYTES = 1024  # some cameras write a little behind an image's end
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd8\xff]")  # but for those after which no length stands
+_JPEG_END = 0xD9
 
 Place = TypeVar("Place")
 Read = TypeVar("Read")
+_Asked = tuple[Future[Any], Callable[[Any], Any], Any] | None  # to be read, how and where; None: nothing more
 
 
 def read_image(path: Path) -> Array:
@@ -73,22 +79,40 @@ def _check_pixels(path: str, width: int, height: int) -> None:
 
 
 def _check_end(path: str, data: bytes) -> None:
-    """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it."""
-    for begin, end, name in ((b"\xff\xd8", b"\xff\xd9", "JPEG"), (b"\x89PNG", b"IEND\xaeB`\x82", "PNG")):
-        if data.startswith(begin) and end not in data[-_TRAILING_BYTES:]:
+    """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it.
+    Behind its end an image may have whatever it likes, as those of phones have a video."""
+    for begin, is_whole, name in ((b"\xff\xd8", _is_whole_jpeg, "JPEG"), (b"\x89PNG", _is_whole_png, "PNG")):
+        if data.startswith(begin) and not is_whole(data):
             raise DataError(f"{path}: cut off; expected a whole {name} image")
+
+
+def _is_whole_jpeg(data: bytes) -> bool:
+    return any(marker == _JPEG_END for marker, _ in _jpeg_markers(data))
+
+
+def _is_whole_png(data: bytes) -> bool:
+    at = 8
+    while len(data) >= at + 12:  # a chunk's length and kind, what is in it, its sum
+        kind = data[at + 4 : at + 8]
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+        if kind == b"IEND":
+            return at <= len(data)
+    return False
 
 
 class ReadAhead(Generic[Place, Read]):
     """What is read of places in an order, mostly images of files: the next, at most `depth`, are read in a thread while
-    one is used. What `read` returns or raises does not depend on it."""
+    one is used. What `read` returns or raises does not depend on it. At its end the process waits for what is being
+    read, for a moment, as libraries abort in a thread that is stopped, and for nothing more."""
 
     def __init__(self, places: Sequence[Place], read: Callable[[Place], Read], depth: int = AHEAD) -> None:
         self._read = read
         self._places = places
         self._depth = depth
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
         self._begun: dict[int, Future[Read]] = {}
+        self._asked: SimpleQueue[_Asked] = SimpleQueue()
+        self._thread = threading.Thread(target=_answer, args=(self._asked,), name="read-ahead", daemon=True)
+        weakref.finalize(self, _end, self._thread, self._asked)
 
     def read(self, index: int) -> Read:
         """What is at an index. Raises what its reading raises, DataError for an image."""
@@ -97,8 +121,37 @@ class ReadAhead(Generic[Place, Read]):
             self._begun.pop(at).cancel()
         for at in ahead:
             if at not in self._begun:
-                self._begun[at] = self._thread.submit(self._read, self._places[at])
+                self._begun[at] = self._begin(self._places[at])
         return self._begun[index].result()
+
+    def _begin(self, place: Place) -> Future[Read]:
+        if self._thread.ident is None:
+            self._thread.start()
+        future: Future[Read] = Future()
+        self._asked.put((future, self._read, place))
+        return future
+
+
+def _answer(asked: SimpleQueue[_Asked]) -> None:
+    """Read what is asked for, one by one. In between nothing is held on to, so that readers can be collected."""
+    while (work := asked.get()) is not None:
+        future, read, place = work
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(read(place))
+            except BaseException as error:  # whoever asks for it raises it
+                future.set_exception(error)
+        del work, future, read, place
+
+
+def _end(thread: threading.Thread, asked: SimpleQueue[_Asked]) -> None:
+    """Read no more: nobody is there to ask for it."""
+    with suppress(Empty):
+        while True:
+            asked.get_nowait()
+    asked.put(None)
+    if thread.is_alive() and thread is not threading.current_thread():  # where garbage is collected
+        thread.join(END_S)
 
 
 def write_picture(path: Path, picture: Array) -> None:
@@ -130,15 +183,23 @@ def image_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    at = 2
-    while found := _JPEG_MARKER.search(data, at):  # what stands before a marker is passed over, as by libjpeg
-        marker, at = data[found.start() + 1], found.end()
+    for marker, at in _jpeg_markers(data):
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", data, at + 3)
             return width, height
-        if marker != 0x01 and not 0xD0 <= marker <= 0xD8:  # those have no length
-            at += struct.unpack_from(">H", data, at)[0]
     return None
+
+
+def _jpeg_markers(data: bytes) -> Iterator[tuple[int, int]]:
+    """The markers of a JPEG up to its end, each with the place behind it, where most have their length: none of those
+    that a thumbnail has. What else stands before a marker is passed over, as by libjpeg: so is what a scan holds."""
+    at = 2
+    while found := _JPEG_MARKER.search(data, at):
+        marker, at = data[found.start() + 1], found.end()
+        yield marker, at
+        if marker == _JPEG_END:
+            return
+        at += int.from_bytes(data[at : at + 2], "big")
 
 
 def _tiff_size(data: bytes, order: str) -> tuple[int, int] | None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 
 from hierax.nodes.sources.files import DataError, told_of
-from hierax.nodes.sources.images import Array, decode_image
+from hierax.nodes.sources.images import END_S, Array, decode_image
 from hierax.nodes.sources.played import colours, is_grey, quiet
 from hierax.nodes.sources.shots import Seen, Shot, Size, Source, check_size
 
@@ -19,7 +19,6 @@ PATIENCE_S = 5.0  # after so long without a frame it is told that one is waited 
 
 _LOG = logging.getLogger(__name__)
 _MAX_MS = 2**31 - 1  # that OpenCV takes
-_END_S = 1.0  # so long the process waits at its end for a frame that is being read
 
 
 class _Taken(NamedTuple):
@@ -77,7 +76,7 @@ class Live(Source):
         """Read no more. A frame that never comes is not waited for."""
         self._closed.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():  # where garbage is collected
-            self._thread.join(_END_S)
+            self._thread.join(END_S)
 
     @abstractmethod
     def _stream(self) -> str:

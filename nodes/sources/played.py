@@ -47,6 +47,7 @@ class Video(Source):
 
     def __init__(self, path: Path, fps: float) -> None:
         self.name = str(path)
+        self._place = str(path.absolute())  # of a relative one FFmpeg takes what a colon follows for a protocol
         self._fps = fps
         self._is_short = False
         self._begin()
@@ -59,7 +60,7 @@ class Video(Source):
 
     def _begin(self) -> None:
         quiet()
-        self._capture = cv2.VideoCapture(self.name, cv2.CAP_FFMPEG)
+        self._capture = cv2.VideoCapture(self._place, cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise DataError(f"{self.name}: cannot be opened; expected a video, a recording, or a folder of images")
         self._grey = is_grey(self._capture)

@@ -1,5 +1,6 @@
 """The frames of a recording: what its world showed, epoch by epoch."""
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,12 +14,16 @@ from hierax.runtime.recording.trace import EpochTrace
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import OBSERVATIONS
 
+_LOG = logging.getLogger(__name__)
+
 
 class RecordedFrames(Source):
     """What the world of a recording showed of a camera: any world whose observations hold ``image``, ``camera``,
-    ``intrinsics`` and ``frame``. An epoch in which it showed nothing is one here, too.
+    ``intrinsics`` and ``frame``. An epoch in which it showed nothing is one here, too. What it lacks,
+    as where it was cut off, has a line in the log.
 
-    Args: path: the recording. Raises DataError: it cannot be read, or lacks an observation, or shows no pictures."""
+    Args: path: the recording. Raises DataError: it cannot be read, lacks an observation, shows no pictures, or has no
+    epochs."""
 
     straight = True
 
@@ -28,6 +33,8 @@ class RecordedFrames(Source):
             self._recording = Recording.open(path)
         except HieraxError as error:
             raise DataError(str(error)) from error
+        if self._recording.loss:
+            _LOG.warning("%s: %s", self.name, self._recording.loss)
         self._next = 0
         self._shots = self._read()
 
@@ -44,6 +51,7 @@ class RecordedFrames(Source):
                 return shot if shot.image is not None else shot._replace(frame=belief["frame"])
 
     def _read(self) -> Iterator[Shot]:
+        epoch = None
         try:
             for epoch in self._recording.epochs():
                 yield shot_of(self.name, epoch)
@@ -51,6 +59,8 @@ class RecordedFrames(Source):
             raise
         except (HieraxError, SchemaError) as error:
             raise DataError(str(error)) from error
+        if epoch is None:
+            raise DataError(f"{self.name}: has no epochs; expected some to show")
 
 
 def shot_of(recording: str, epoch: EpochTrace) -> Shot:

@@ -79,7 +79,7 @@ def _launched(options: RunOptions, file: str | None, forks: "ForkServer", goes_o
             forks=forks,
         )
         if run is not None and output is not None:
-            goes_on = output.absolute() == Path(run.output).absolute()
+            goes_on = bool(run.output) and output.resolve() == Path(run.output).resolve()
         log_refusals()
         with refused.watched(tell):
             code = run_deployment(runner, file, options, goes_on)

@@ -1,7 +1,8 @@
 """``hierax attach``, ``detach``, ``replace`` and ``ps``: against a launch that runs."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ from hierax.runtime.launch.run_file import is_loopback, known_runs
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
-    from hierax.runtime.deployment.deployment import ProcessTerms
+    from hierax.runtime.deployment.deployment import Document, ProcessTerms
     from hierax.runtime.launch.attached_processes import AttachedHere
     from hierax.schemas.roster import Attach, Change
 
@@ -30,7 +31,7 @@ def attach(
     host: Annotated[str | None, option("--host", help="With --here: this machine's address for the others.")] = None,
 ) -> int:
     """Attach nodes to a hierarchy that runs, and print the epoch at which they took effect."""
-    from hierax.runtime.deployment.snippet import read_attach, read_terms
+    from hierax.runtime.deployment.snippet import read_attach, read_terms, snippet_of
 
     if host is not None and not here:
         raise CommandError("--host: only with --here; the new processes come up where the launch runs")
@@ -49,18 +50,24 @@ def attach(
     change = read_attach(source, file)
     terms = read_terms(source, file, attached=True)
     what = f"attached {', '.join(change.nodes)}"
+    document = snippet_of(source, file) or file.document
     if not here:
-        return print_epoch(ask_for(launch, change, terms), what, options.output_format)
+        with _explaining(change.nodes, document):
+            answer = ask_for(launch, change, terms)
+        return print_epoch(answer, what, options.output_format)
     from hierax.runtime.launch.attached_processes import run_attached
 
     named = _here(source, change, own, options.trust, launch, host)
-    offer = ask_for(launch, change, terms, here=True, host=named.host)
+    with _explaining(change.nodes, document):
+        offer = ask_for(launch, change, terms, here=True, host=named.host)
     request = offer.get("request")
     if not isinstance(request, str):
         raise CommandError(f"the launch at {launch.endpoint} gave no order, and no reason")
 
     def await_change() -> None:
-        print_epoch(_ask(launch, {"ask": "await", "request": request}), what, options.output_format)
+        with _explaining(change.nodes, document):
+            answer = _ask(launch, {"ask": "await", "request": request})
+        print_epoch(answer, what, options.output_format)
 
     with unhindered() as tell:
         return run_attached(offer.get("orders"), request, named, terms, await_change, tell)
@@ -78,11 +85,13 @@ def detach(node: Node, options: RunOptions, cascade: Annotated[bool, option("--c
 @offers("run", "connect", "key", "deployment_file", "output_format")
 def replace(node: Node, source: Snippet, options: RunOptions) -> int:
     """Let another class or other parameters take a node's place and belief, and print the epoch."""
-    from hierax.runtime.deployment.snippet import read_replace, read_terms
+    from hierax.runtime.deployment.snippet import read_replace, read_terms, snippet_of
 
     launch = launch_meant(options.run, options.connect, options.key)
     file = deployment_at(launch, options.deployment_file)
-    answer = ask_for(launch, read_replace(source, node, file), read_terms(source, file))
+    change, terms = read_replace(source, node, file), read_terms(source, file)
+    with _explaining([node], snippet_of(source, file) or file.document):
+        answer = ask_for(launch, change, terms)
     return print_epoch(answer, f"replaced {node}", options.output_format)
 
 
@@ -168,6 +177,7 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
 def deployment_at(launch: Meant, file: str | None) -> "Deployment":
     """The deployment of a launch, read from a file, or from the one that the launch names."""
     from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.deployment.secrets import usable
 
     said = _ask(launch, {"ask": "ps"})
     named, settings = said.get("file"), said.get("settings")
@@ -177,7 +187,7 @@ def deployment_at(launch: Meant, file: str | None) -> "Deployment":
         or not all(isinstance(each, str) for each in settings)
     ):
         raise CommandError(f"the launch at {launch.endpoint} does not say which deployment file it has")
-    return read_deployment(file or named, settings)
+    return read_deployment(file or named, usable(settings))
 
 
 def _status(launch: Meant) -> dict[str, Any]:
@@ -206,6 +216,23 @@ def _here(
     return AttachedHere(
         change.nodes, allowance, trust, import_paths, launch.endpoint, host or "", settings, launch.secret
     )
+
+
+@contextmanager
+def _explaining(nodes: Iterable[str], document: "Document") -> Iterator[None]:
+    """Raise a launch's refusal of new nodes with its place in the document that has them, if it names a path there."""
+    from hierax.runtime.transport.launch_client import AnswerError
+
+    try:
+        yield
+    except AnswerError as error:
+        text = str(error)
+        for name in nodes:
+            text = text.removeprefix(f"{name}: ")  # whose process it was
+        where, _, what = text.partition(": ")
+        if not document.has_part(where):
+            raise
+        raise document.error(document.keys(where), what) from error
 
 
 def _ask(launch: Meant, question: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """``hierax run``: a deployment, all nodes in this process."""
 
+from dataclasses import replace
 from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 def run(file: File, options: RunOptions) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime.commands.run_deployment import run_deployment
-    from hierax.runtime.deployment.snippet import read_schedule
+    from hierax.runtime.deployment.snippet import read_schedule, scheduled_snippets
     from hierax.runtime.execution import single
     from hierax.runtime.execution.pacemaker import Breaker
     from hierax.runtime.watch.prints import named_turns
@@ -31,6 +32,7 @@ def run(file: File, options: RunOptions) -> int:
 
     def run_scheduled(deployment: "Deployment", **given: Any) -> "Report":
         schedule = read_schedule(options.at or (), deployment)
+        explained = replace(deployment, snippets=scheduled_snippets(options.at or (), deployment))
         if recorded or options.check:
             from hierax.runtime.recording.info import RunInfo
             from hierax.runtime.recording.recorder import InProcess, Recorder
@@ -41,7 +43,7 @@ def run(file: File, options: RunOptions) -> int:
             recording = taking[0] if taking else None
             given.update(schedule=schedule, watch=_spans(deployment), record=recording, breaker=Breaker())
             names = {*deployment.roster.nodes, *(name for each in schedule for name in new_nodes(each.change))}
-            with named_turns(names, deployment.name) as turn:
+            with explained.explaining(), named_turns(names, deployment.name) as turn:
                 report = single.run(deployment, turn=turn, **given)
             late.extend(str(each.epoch) for each in schedule if each.epoch > report.epochs)
             return report

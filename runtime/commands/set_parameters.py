@@ -3,12 +3,12 @@
 from typing import Annotated, Any
 
 from hierax.runtime.commands.errors import UsageError
-from hierax.runtime.commands.membership import ask_for, deployment_at, print_epoch
+from hierax.runtime.commands.membership import ask_for, print_epoch
 from hierax.runtime.commands.options import RunOptions, argument, offers
 from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 
-@offers("run", "connect", "key", "deployment_file", "output_format")
+@offers("run", "connect", "key", "output_format")
 def set(
     texts: Annotated[list[str], argument("NODE.PARAMETER=VALUE…", "Parameters of one node, values as YAML has them.")],
     options: RunOptions,
@@ -29,10 +29,9 @@ def set(
         status.check_node(node)
         was = client.roster(status).nodes[node]
     changed = Reference(was.target, {**was.parameters, **{name: value for _, name, value in given}})
-    file = deployment_at(launch, options.deployment_file)
-    terms = {node: file.terms.get(node, file.restart)}
     what = ", ".join(f"{name} = {value!r}" for _, name, value in given)
-    return print_epoch(ask_for(launch, Replace(node, changed), terms), f"{node}: {what}", options.output_format)
+    answer = ask_for(launch, Replace(node, changed), {})  # without terms: its process is kept as it is now
+    return print_epoch(answer, f"{node}: {what}", options.output_format)
 
 
 def _parameter(text: str) -> tuple[str, str, Any]:

@@ -4,9 +4,9 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
+from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Connect, Format, KeyFile, OutputFormat, Run, option
 from hierax.runtime.commands.show import by_process, console, in_force_text, print_json, table_of
 from hierax.runtime.commands.which_launch import client_at, launch_meant
@@ -39,10 +39,10 @@ def top(
     """Show where the time of a launch's nodes goes, until Ctrl-C: per epoch, in which operator, waiting for whom."""
     with client_at(launch_meant(run, connect, key)) as client:
         looks = overviews(client, interval, time.sleep)
-        if once and output_format is Format.json:
-            print_json(next(looks))
-        elif once or output_format is Format.json or not sys.stdout.isatty():
-            for look in islice(looks, 1 if once else None):
+        if once:
+            _print_once(next(looks, None), output_format)
+        elif output_format is Format.json or not sys.stdout.isatty():
+            for look in looks:
                 _print(look, output_format)
         else:
             _show_live(looks)
@@ -66,6 +66,16 @@ def overviews(client: "LaunchClient", interval_s: float, sleep: Callable[[float]
         after = client.ask_nodes(status, question, status.nodes)
         yield overview(status, before, after)
         before = after
+
+
+def _print_once(look: Mapping[str, Any] | None, output_format: Format) -> None:
+    """The only one. Raises `CommandError` if there is none, as the launch has ended meanwhile."""
+    if look is None:
+        raise CommandError("the launch is over")
+    if output_format is Format.json:
+        print_json(look)
+    else:
+        _print(look, output_format)
 
 
 def _print(look: Mapping[str, Any], output_format: Format) -> None:

@@ -4,12 +4,14 @@ import importlib.util
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hierax.runtime.commands.errors import CommandError, notify
+from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
+from hierax.runtime.commands.errors import OK, CommandError, interrupted, notify
 from hierax.runtime.commands.options import RunOptions, offers
 from hierax.runtime.commands.which_launch import client_at, launch_meant, own_deployment
 from hierax.runtime.core.errors import HieraxError
@@ -54,7 +56,7 @@ def view(options: RunOptions, source: Shown = None) -> int:
         deployment, hierarchy, show = _of_deployment(source, options)
     from hierax.runtime.viewing.viewer import stream_of
 
-    stream = stream_of(hierarchy)
+    stream, code = stream_of(hierarchy), OK
     with _viewer(stream, options) as place:
         endless = source is None
         try:
@@ -67,12 +69,17 @@ def view(options: RunOptions, source: Shown = None) -> int:
                 notify("that is all; Ctrl-C ends the viewer")
                 place.until_closed()
         except KeyboardInterrupt:
-            if not endless:
+            if not endless and options.save is None:
                 raise
-            notify("no longer looking")
+            if options.save is not None:
+                CTRL_C.taken()  # what was drawn until then is kept, however long it takes
+            if endless:
+                notify("no longer looking")
+            else:
+                code = INTERRUPTED
     if options.save is not None:  # now it is there
         notify(f"seen at {options.save}")
-    return 0
+    return interrupted() if code == INTERRUPTED else code
 
 
 def _check_used(source: str | None, options: RunOptions) -> None:
@@ -105,6 +112,8 @@ def _of_deployment(source: str, options: RunOptions) -> Source:
     from hierax.runtime.viewing.live import run_seen
 
     deployment = read_deployment(source, options.overrides or ())
+    probes = tuple(replace(each, overwrite=options.overwrite) for each in deployment.probes)
+    deployment = replace(deployment, probes=probes)
 
     def show(presenter: "ViewPresenter") -> None:
         with redirect_stdout(sys.stderr):

@@ -24,6 +24,7 @@ Keys = tuple[str | int, ...]  # the path of a value: names and, in lists, number
 
 _INDEX = re.compile(r"\[(\d+)\]")
 _ARROW = re.compile(r"\s*->\s*")
+_PARTS = ("nodes", "edges")  # what a snippet has, too
 MAX_FILE_BYTES = 1 << 22
 _RECORDING = b"\x89MCAP"  # what an MCAP file begins with
 _SUFFIXES = (".yaml", ".yml")
@@ -127,6 +128,12 @@ class Document:
         if rest and (value is None or isinstance(value, (dict, list))):  # what lacks is named, too
             keys = (*keys, rest)
         return keys
+
+    def has_part(self, text: str) -> bool:
+        """Whether the node or edge is here that a path given as text leads into."""
+        kind = text.partition(".")[0]
+        keys = self.keys(text)
+        return kind in _PARTS and keys[:1] == (kind,) and inside(inside(self.root, kind), (*keys, "")[1]) is not None
 
     def _changed(self, keys: Keys) -> str | None:
         """The ``--set`` that a value comes from: what it changed has no line any more."""
@@ -286,6 +293,7 @@ class Deployment:
     processes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by name, the nodes that share one
     hosts: Mapping[str, Host] = field(default_factory=dict)  # the machines on which a launch may run nodes, by name
     placed: Mapping[str, str] = field(default_factory=dict)  # by node, the host on which it runs; others run here
+    snippets: tuple[Document, ...] = field(default=(), repr=False, compare=False)  # that change it as it runs
 
     @property
     def allowance(self) -> Allowance:
@@ -313,8 +321,15 @@ class Deployment:
             raise explained from error
 
     def explain(self, error: HieraxError) -> HieraxError:
-        """An error with its place in the file, if its `where`, as `LoadError` has it, is a path in the roster."""
+        """An error with its place in the file, if its `where`, as `LoadError` has it, is a path in the roster; or in
+        `snippets`, if it is one there. What is in several of them has all these places."""
         where = getattr(error, "where", "")
-        if not where:
+        documents = [each for each in (self.document, *self.snippets) if each.has_part(where)]
+        if where.partition(".")[0] not in _PARTS:
+            documents = [self.document]
+        if not where or not documents:
             return error
-        return self.document.error(self.document.keys(where), str(error).removeprefix(f"{where}: "))
+        found = [each.error(each.keys(where), str(error).removeprefix(f"{where}: ")) for each in documents]
+        return DeploymentError(
+            found[-1].what, " or ".join(dict.fromkeys(each.place for each in found)), found[-1].field
+        )

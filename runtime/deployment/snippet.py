@@ -60,6 +60,16 @@ def read_terms(source: str | Path, deployment: Deployment, *, attached: bool = F
     return terms_of(_document(source, deployment), deployment, attached=attached)
 
 
+def snippet_of(source: str | Path, deployment: Deployment) -> Document | None:
+    """The snippet that a source of `read_attach` or `read_replace` is, by which errors are explained; None: it is a
+    node of the deployment file. Raises `DeploymentError` as `read_attach` does."""
+    if _is_node(source, deployment):
+        return None
+    document = _document(source, deployment)
+    substitute(document)  # errors name the parameters that values came from
+    return document
+
+
 def attach_of(document: Document) -> Attach:
     """What a snippet's document attaches. Raises `DeploymentError` if it is wrong."""
     model = _checked(document)
@@ -160,6 +170,15 @@ def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Schedul
     for scheduled, text in read:
         roster = _after(scheduled.change, roster, deployment, f"--at {text}")
     return tuple(scheduled for scheduled, _ in read)
+
+
+def scheduled_snippets(texts: Sequence[str], deployment: Deployment) -> tuple[Document, ...]:
+    """The snippets of changes that `read_schedule` has read, by which errors are explained."""
+    parts = [text.split(":", 2) for text in texts]
+    sources = [rest for _, kind, rest in parts if kind.strip() == "attach"]
+    sources += [rest.partition(":")[2] for _, kind, rest in parts if kind.strip() == "replace"]
+    found = [snippet_of(source, deployment) for source in sources]
+    return tuple(document for document in found if document is not None)
 
 
 def _after(change: Change, roster: Roster, deployment: Deployment, place: str) -> Roster:

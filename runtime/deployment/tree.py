@@ -59,6 +59,9 @@ for _kind, _pattern, _first in (
 ):
     _Loader.add_implicit_resolver(_TAG + _kind, re.compile(rf"(?:{_pattern})\Z"), _first)
 
+RESOLVERS = _Loader.yaml_implicit_resolvers
+"""By its first character, what a plain scalar may be, and how that looks."""
+
 
 @dataclass
 class Tree:

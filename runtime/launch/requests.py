@@ -25,7 +25,7 @@ from hierax.runtime.transport.control import CHANGES, Reply
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.control import Propose
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.roster import Attach, Change, new_nodes, read_change
+from hierax.schemas.roster import Attach, Change, Replace, new_nodes, read_change
 from hierax.schemas.values import Value
 
 PS, RECORD = LOOKS = ("ps", "record")
@@ -58,11 +58,11 @@ class Requests:
 
     ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "terms", "here"}`` is answered with
     ``{"epoch"}``, the first one under the changed roster when it is committed, or ``{"refusal"}``; ``by`` says who
-    asks, for the audit. With ``here`` the processes of new nodes are kept by who asks: the answer is ``{"request",
-    "orders"}``, what they are to be started with, and ``{"ask": "await", "request"}`` is answered in the end.
-    ``{"ask": "renew", "name", "process", "host"}`` is answered with ``{"secret"}``: a new certificate for one of these.
-    ``{"ask": "record"}`` says that somebody is about to record; the answer is the fields of a `RunInfo`, and of an
-    `Access`."""
+    asks, for the audit; a node that takes another's place without terms of its own has those of that one. With ``here``
+    the processes of new nodes are kept by who asks: the answer is ``{"request", "orders"}``, what they are to be
+    started with, and ``{"ask": "await", "request"}`` is answered in the end. ``{"ask": "renew", "name", "process",
+    "host"}`` is answered with ``{"secret"}``: a new certificate for one of these. ``{"ask": "record"}`` says that
+    somebody is about to record; the answer is the fields of a `RunInfo`, and of an `Access`."""
 
     def __init__(self, processes: RosterSupervisor, audit: Audit) -> None:
         self._processes = processes
@@ -177,7 +177,7 @@ class Requests:
             raise SchemaError("expected true or false, and an address", "question.here, question.host")
         processes.orders.deployment.allowance.check_all(change)
         await self._check(change)
-        terms = {name: _terms_of(query, name) for name in new_nodes(change)}
+        terms = {name: self._terms_of(change, query, name) for name in new_nodes(change)}
         self._check_rates(terms)
         request = token_hex(4)
         proposal = Propose(
@@ -202,6 +202,13 @@ class Requests:
         for order in orders:
             await processes.start(order)
         return request
+
+    def _terms_of(self, change: Change, query: Mapping[str, Any], name: str) -> ProcessTerms:
+        """How a new node's process is kept: as who asks says, or as the one whose place it takes."""
+        said = query.get("terms")
+        if isinstance(change, Replace) and isinstance(said, dict) and name not in said:
+            return self._processes.orders.terms(name)
+        return _terms_of(query, name)
 
     async def _check(self, change: Change) -> None:
         """What the owner would refuse, before processes are started for it."""

@@ -11,6 +11,7 @@ from hierax.runtime.core.node import World
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import Document
 from hierax.runtime.deployment.read import deployment_of
+from hierax.runtime.deployment.written import yaml_of
 from hierax.runtime.scripting.names import Code, named, script_folders, script_modules
 from hierax.schemas.roster import FUNCTIONS
 
@@ -91,7 +92,10 @@ class Hierarchy:
         return self
 
     def snippet(self, deployment: Deployment) -> Document:
-        """Its nodes and edges alone, for a run of a deployment."""
+        """Its nodes and edges, for a run of a deployment. Raises `HierarchyError` if it says more than these."""
+        more = [*self._fields, *(["probes"] if self._probes else [])]
+        if more:
+            raise HierarchyError(f"hierarchy {self.name!r}: what joins a run has nodes and edges alone, no {more[0]}")
         edges = {"edges": self._edges} if self._edges else {}
         root = {"nodes": self._nodes, **edges}
         return Document(f"hierarchy {self.name!r}", root, {}, outer=deployment.document)
@@ -122,9 +126,7 @@ class Hierarchy:
 
     def text(self) -> str:
         """The same as YAML, not checked."""
-        import yaml
-
-        return str(yaml.safe_dump(self.root(), sort_keys=False, allow_unicode=True, width=120))
+        return yaml_of(self.root())
 
     def to_yaml(self, file: str | Path | None = None) -> str:
         """The deployment file that says the same, checked; written to `file` where that is given.

@@ -76,8 +76,10 @@ def _plain(value: Any, what: str) -> Any:
         return {str(key): _plain(item, f"{what}.{key}") for key, item in value.items()}
     if isinstance(value, str):
         return value.replace("${", "$${")
-    if value is None or isinstance(value, (bool, int, float)):
+    if value is None or isinstance(value, bool):
         return value
+    if isinstance(value, (int, float)):  # an enumeration's, too
+        return int(value) if isinstance(value, int) else float(value)
     raise HierarchyError(f"{what}: expected text, numbers, lists, maps or arrays, got a {type(value).__name__}")
 
 

@@ -5,6 +5,7 @@ import logging
 import queue
 import sys
 import threading
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -144,6 +145,7 @@ class _Local(Run):
         self._epochs = single.epochs()
         self._failure: Exception | None = None
         stack.callback(single.close)
+        weakref.finalize(self, stack.close)  # also at the end of the script: a recording is whole then
 
     def __next__(self) -> Epoch:
         if self._failure is not None:

@@ -1,10 +1,11 @@
 """Hierarchies and single nodes run by a test, with all that they did."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
+
+import yaml
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.difference import difference
@@ -16,6 +17,7 @@ from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode, predict, sense
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.deployment.written import yaml_line_of
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.pacemaker import Pacemaker
@@ -96,11 +98,19 @@ def run_given(
         raise TypeError("hierax_run: expected a deployment or nodes, one of them")
     if nodes is not None:
         return run_hierarchy(nodes, edges, world=world, epochs=1 if epochs is None else epochs, seed=seed)
-    overrides = [f"{path}={json.dumps(value)}" for path, value in (set or {}).items()]
+    overrides = [f"{path}={_as_yaml(path, value)}" for path, value in (set or {}).items()]
     read = read_deployment(found(folder, str(deployment)), overrides)
     extend_import_path(read.import_paths)
     kept = _Kept()
     return kept.ran(run(read, epochs=epochs, seed=seed, watch=kept.watch))
+
+
+def _as_yaml(path: str, value: Any) -> str:
+    """A value as ``--set`` takes it. Raises `HieraxError` if YAML has none like it."""
+    try:
+        return yaml_line_of(value)
+    except yaml.YAMLError as error:
+        raise HieraxError(f"set {path}: expected text, numbers, lists or maps, got {value!r:.60}") from error
 
 
 def found(folder: Path, file: str | Path) -> Path:

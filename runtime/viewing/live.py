@@ -142,9 +142,12 @@ def run_seen(deployment: Deployment, presenter: ViewPresenter, *, epochs: int | 
         runner.watch(_Seen(name, runner, presenter, clock))
 
     try:
-        return single.run(deployment, epochs=epochs, seed=seed, watch=watch)
-    finally:
-        presenter.close()
+        report = single.run(deployment, epochs=epochs, seed=seed, watch=watch)
+    except BaseException:
+        presenter.close(is_whole=False)
+        raise
+    presenter.close()
+    return report
 
 
 class _Clock:

@@ -103,12 +103,14 @@ class ViewPresenter:
         view = View(EPOCHS, Kind.PLOT)
         self._show(EPOCHS, epoch, time_s, [Placed(view, f"{EPOCHS}/took_ms", "epoch, ms", 1000.0 * wall_s)])
 
-    def close(self) -> None:
-        """Show what is still open."""
+    def close(self, *, is_whole: bool = True) -> None:
+        """Show what is still open. Of a run that was broken off, which is not whole, nobody knows what would have been
+        shown in a view that is empty."""
         for number in sorted(self._epochs):
             self._close(number)
         self._arrange()
-        self._report_unknown()
+        if is_whole:
+            self._report_unknown()
 
     def _before(self, name: str, step: Step, start: Value) -> Value:
         """The belief that the epoch began in: that of the last one that the node has done."""

@@ -1,7 +1,8 @@
 """A canvas of Rerun's: things as its archetypes, views as its blueprint."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from numbers import Real
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -14,7 +15,16 @@ from hierax.runtime.viewing.views import Column, Kind, Placed, View
 TIMELINE, TIME = "epoch", "time"  # the timelines: the epoch's number, and the world's time in seconds
 JPEG_QUALITY = 85  # the quality of pictures, which take a tenth of the room by it
 DEPTH_MARGIN = 0.7  # the nearest depth is not drawn as black, which is where nothing is
+_IMAGE = "/image"  # where a camera's picture stands, relative to the camera
 Parts = Sequence[tuple[str, Any]]  # archetypes, each with where it goes, relative to the thing's path
+
+
+class _Drawn(NamedTuple):
+    """What is shown of a thing."""
+
+    kind: type  # of thing, or of figure
+    below: tuple[str, ...]  # where something of it stands, relative to its path
+    labelled: bool
 
 
 class RerunCanvas(Canvas):
@@ -24,22 +34,36 @@ class RerunCanvas(Canvas):
         self._stream = stream
         self._styled: set[str] = set()
         self._meshes: dict[str, showing.Mesh] = {}
+        self._drawn: dict[str, _Drawn] = {}  # by path, what is shown there now
 
     def draw(self, epoch: int, time_s: float, things: Iterable[Placed]) -> None:
         self._set_time(epoch, time_s)
         for each in things:
             self._style(each)
+            self._clear_other(each)
             for below, archetype in self._parts(each):
                 self._stream.log(_entity(f"{each.path}{below}"), archetype)
 
     def clear(self, epoch: int, time_s: float, paths: Iterable[str]) -> None:
         self._set_time(epoch, time_s)
         for path in paths:
-            self._meshes.pop(path, None)
-            self._stream.log(_entity(path), rr.Clear(recursive=False))
+            self._clear(path)
 
     def arrange(self, columns: tuple[Column, ...]) -> None:
         self._stream.send_blueprint(blueprint(columns))
+
+    def _clear(self, path: str) -> None:
+        self._meshes.pop(path, None)
+        drawn = self._drawn.pop(path, None)
+        for below in ("",) if drawn is None else drawn.below:
+            self._stream.log(_entity(f"{path}{below}"), rr.Clear(recursive=False))
+
+    def _clear_other(self, each: Placed) -> None:
+        """Rerun goes on to show what is not said anew: another thing, or labels and pictures that it has no more."""
+        drawn = _drawn(each.thing)
+        if self._drawn.get(each.path, drawn) != drawn:
+            self._clear(each.path)
+        self._drawn[each.path] = drawn
 
     def _set_time(self, epoch: int, time_s: float) -> None:
         self._stream.set_time(TIMELINE, sequence=epoch)
@@ -70,6 +94,14 @@ class RerunCanvas(Canvas):
             if shape is not None and shape.colour == thing.colour and same:
                 return [("", _transform(thing.pose))]
         return archetypes(thing)
+
+
+def _drawn(thing: showing.Thing) -> _Drawn:
+    if isinstance(thing, Real):
+        return _Drawn(float, ("",), False)
+    below = ("", _IMAGE) if isinstance(thing, showing.Camera) and thing.image is not None else ("",)
+    labels = thing.labels if isinstance(thing, (showing.Points2D, showing.Points3D)) else getattr(thing, "label", "")
+    return _Drawn(type(thing), below, bool(labels))
 
 
 def _entity(path: str) -> str:
@@ -111,7 +143,7 @@ def archetypes(thing: showing.Thing) -> Parts:
         case showing.Axes():
             return [("", _transform(thing.pose)), ("", rr.TransformAxes3D(thing.length_m))]
         case showing.Camera():
-            image = [] if thing.image is None else [("/image", _compressed(thing.image))]
+            image = [] if thing.image is None else [(_IMAGE, _compressed(thing.image))]
             return [("", _transform(thing.pose)), ("", _pinhole(thing)), *image]
         case showing.Graph():
             return _graph(thing)

@@ -159,7 +159,16 @@ CHECKPOINT_INSIDE: list[tuple[dict[str, Any], str, str]] = [
     ({"under_way": b"\xc1"}, "under_way", "not one msgpack value"),
     *(
         ({"under_way": encode_value(value)}, "under_way", "expected an array of what was sensed, of mess")
-        for value in (None, (), ((), ()), ((), "text", ()), ((), (1,), ()), (1, (), ()), (("2", None), (), ()))
+        for value in (
+            None,
+            (),
+            ((), ()),
+            ((), "text", ()),
+            ((), (1,), ()),
+            (1, (), ()),
+            (("2", None), (), ()),
+            (np.zeros(2), (), ()),
+        )
     ),
 ]
 WORLD_INSIDE: list[tuple[dict[str, Any], str, str]] = [

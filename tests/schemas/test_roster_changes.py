@@ -6,6 +6,7 @@ import copy
 import random
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from support.rosters import random_change, random_roster
@@ -46,6 +47,7 @@ def test_the_order_of_nodes_does_not_show() -> None:
         (ATTACH, ("change",), "atach", "change.change", "expected attach, detach or replace, got 'atach'"),
         (ATTACH, ("change",), "x" * 10**6, "change.change", "expected attach, detach or replace, got 'xxx"),
         (ATTACH, ("change",), [], "change.change", "expected attach, detach or replace, got a list"),
+        (ATTACH, ("change",), np.zeros(2), "change.change", "expected attach, detach or replace, got a ndarray"),
         (ATTACH, ("change",), "detach", "change", "a map with the keys cascade, change, name"),
         (ATTACH, ("more",), 1, "change", "a map with the keys change, edges, nodes"),
         (ATTACH, ("nodes",), (), "change.nodes", "expected a map"),

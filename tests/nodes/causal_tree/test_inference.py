@@ -279,7 +279,7 @@ def test_against_pyagrum() -> None:
     with warnings.catch_warnings():  # where they are errors, those of its import end the process
         warnings.simplefilter("ignore")
         gum = pytest.importorskip("pyagrum")
-    from hierax.nodes.causal_tree.networks import description_of
+    from hierax.nodes.causal_tree.bif import description_of
 
     for seed in range(25):
         gum.initRandom(seed + 1)

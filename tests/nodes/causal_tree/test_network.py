@@ -74,6 +74,7 @@ def test_tables_are_used_as_they_stand() -> None:
         ([{"id": "a", "states": 2, "prior": [0.5, 0.6]}], "node 'a': prior: the numbers should sum to 1, not 1.1"),
         (changed(parents=["snow"]), "node 'wet': parents: there is no node 'snow'"),
         (changed(parents=["rain", "rain"]), "node 'wet': parents: 'rain' is there twice"),
+        (changed(parents=[str(n) for n in range(63)]), "node 'wet': parents: 63 of them; at most 62 are allowed"),
         (changed(parents="rain"), "node 'wet': parents: expected a list of ids, got 'rain'"),
         (changed(states=0), "node 'wet': states: expected at least 1, got 0"),
         (changed(states=2.0), "node 'wet': states: expected their number or a list"),

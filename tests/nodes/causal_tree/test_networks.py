@@ -8,8 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.exact_networks import random_network
 
-from hierax.nodes.causal_tree import EvidenceError, NetworkError, likelihoods, network_from, random_tree
+from hierax.nodes.causal_tree import (
+    EvidenceError,
+    NetworkError,
+    likelihoods,
+    network_from,
+    parse,
+    posteriors,
+    random_tree,
+)
 from hierax.nodes.causal_tree.networks import sampled
 
 RAIN = [
@@ -30,6 +39,34 @@ def test_a_file_or_a_list(tmp_path: Path) -> None:
     path.write_text("- {id: rain, states: 2, prior: [0.25, 0.75]}\n")
     assert list(network_from(str(path)).variables) == ["rain"]
     assert list(network_from(RAIN).variables) == ["wet", "rain"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_samples_are_drawn_in_the_order_of_the_description_as_far_as_parents_are_there(seed: int) -> None:
+    network = random_network(seed, 40)
+    random = np.random.default_rng(seed)
+    found: dict[Any, int] = {}
+    while len(found) < len(network):
+        for entry in network:
+            if entry["id"] in found or not all(parent in found for parent in entry["parents"]):
+                continue
+            row = np.array(entry["cpt"] if entry["parents"] else entry["prior"])[
+                tuple(map(found.get, entry["parents"]))
+            ]
+            found[entry["id"]] = int(np.searchsorted(np.cumsum(row), random.random() * row.sum(), side="right"))
+    assert sampled(parse(network), np.random.default_rng(seed)) == found
+    assert list(found) != [entry["id"] for entry in network]
+
+
+@pytest.mark.parametrize("count", [61, 62])
+def test_a_node_may_have_so_many_parents(count: int) -> None:
+    parents = [{"id": f"p{n}", "states": 1, "prior": [1.0]} for n in range(count)]
+    cpt: Any = [0.25, 0.75]
+    for _ in range(count):
+        cpt = [cpt]
+    names = [each["id"] for each in parents]
+    found = posteriors([*parents, {"id": "c", "states": 2, "parents": names, "cpt": cpt}], {})
+    np.testing.assert_allclose(found["c"], [0.25, 0.75])
 
 
 @pytest.mark.parametrize(

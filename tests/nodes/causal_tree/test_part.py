@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -272,6 +273,7 @@ def test_nodes_with_equally_many_states_have_a_row_each() -> None:
         ({"nodes": ["wet", "wet"]}, "nodes: one is there twice"),
         ({"nodes": ["wet"], "top": "wet"}, "nodes: expected either nodes or top, got both"),
         ({"top": "snow"}, "tops: there is no node 'snow'"),
+        ({"top": "wet", "tops": ["rain"]}, "top: 'wet' is none of the tops, 'rain'"),
         ({"settle": 0}, "settle: expected a number of epochs, at least 1, or null, got 0"),
     ],
 )
@@ -285,6 +287,9 @@ def test_wrong_parameters(parameters: Any, message: str) -> None:
     [
         (evidence(wet=(1.0,)), "evidence for wet: expected 2 likelihoods, got 1"),
         (evidence(wet=2), "evidence for wet: expected a state from 0 to 1, got 2"),
+        (evidence(wet=(-1.0, 1.0)), "evidence for wet: expected finite numbers of at least 0, got (-1.0, 1.0)"),
+        (evidence(wet=(math.nan, 1.0)), "evidence for wet: expected finite numbers of at least 0, got (nan, 1.0)"),
+        (evidence(wet=(1.0, math.inf)), "evidence for wet: expected finite numbers of at least 0, got (1.0, inf)"),
         ({"from": "slip", "age": 1, "diagnostic": {"slip": {"wet": np.ones((2, 3))}}}, "a message about wet: expected"),
     ],
 )

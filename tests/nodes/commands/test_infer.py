@@ -67,6 +67,7 @@ def test_as_json(file: str, evidence: list[str], rain: float, capsys: pytest.Cap
             "--evidence rain=maybe: evidence for 'rain': there is no state 'maybe'; expected one of no, yes",
         ),
         (["wet=2"], "--evidence wet=2: evidence for 'wet': there is no state 2; expected one of 0, 1"),
+        (["wet=" + "1" * 5000], "--evidence wet=1111"),
         (
             ["rain=[1]"],
             "--evidence rain=[1]: evidence for 'rain': expected 2 likelihoods, one for each state, got [1.0]",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ import numpy as np
 import pytest
 from support.bags import STRING, camera_info, compressed, image, made, write_bag
 from support.boards import PINHOLE
+from support.launched import said_here
 
+from hierax.nodes.sources.calibration import write_calibration
 from hierax.nodes.sources.camera import CameraWorld, is_bag, is_recording, knows_camera, picture_seen
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import Array
@@ -123,13 +126,13 @@ def test_of_several_topics_one_is_chosen(tmp_path: Path) -> None:
     (belief,) = shown(bag, topic="/right")
     np.testing.assert_array_equal(belief["image"], shot(2))
     for topic, told in (
-        (None, "bag: has pictures on /left, /right; expected one of them as camera_topic"),
+        (None, "bag: has pictures on /left, /right; expected one of them as topic (camera_topic of tracking)"),
         ("/up", "bag: has no topic /up; expected one with pictures: /left, /right"),
         ("/said", f"bag: /said is of {STRING}; expected sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage: /l"),
     ):
         with pytest.raises(DataError, match=re.escape(told)):
             CameraWorld(str(bag), topic=topic).initial_belief()
-    with pytest.raises(DataError, match="is no bag of ROS 2; expected no camera_topic with it"):
+    with pytest.raises(DataError, match=r"is no bag of ROS 2; expected no topic \(camera_topic of tracking\) with it"):
         CameraWorld(str(tmp_path), topic="/left").initial_belief()
 
 
@@ -183,6 +186,31 @@ def test_what_is_wrong_with_its_camera_info_is_told(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "other", {"/eye": [image(0, shot(0), "rgb8")], "/camera_info": [info]})
     with pytest.raises(DataError, match=re.escape("has 64×48 pixels; expected 640×480")):
         shown(bag)
+
+
+def test_a_camera_info_that_cannot_be_read_does_not_count_where_a_calibration_is_given_or_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = {f"/{side}/image_raw": [image(0, shot(number), "rgb8")] for number, side in enumerate(("left", "right"))}
+    infos = {f"/{side}/camera_info": [camera_info(LENS, "kannala_brandt")] for side in ("left", "right")}
+    bag, topic = write_bag(tmp_path / "bag", frames | infos), "/right/image_raw"
+    write_calibration(LENS, tmp_path / "camera.yaml")
+    with pytest.raises(DataError, match="right/camera_info: distortion_model: expected one of plumb_bob, "):
+        shown(bag, topic=topic)
+    (belief,) = shown(bag, topic=topic, calibration=str(tmp_path / "camera.yaml"))
+    np.testing.assert_array_equal(belief["image"], LENS.straightened(shot(1)))
+    np.testing.assert_array_equal(belief["intrinsics"], LENS.intrinsics)
+    looked_at: list[Array] = []
+
+    def find_views(source: str, _: object, pictures: Iterator[Array], *__: object) -> None:
+        looked_at.extend(pictures)
+        raise DataError(f"{source}: is looked at")
+
+    monkeypatch.setattr("hierax.nodes.sources.boards.find_views", find_views)
+    asked = ("calibrate", str(bag), "-o", str(tmp_path / "made.yaml"))
+    assert "bag: is looked at" in said_here(*asked, "--topic", topic).stderr
+    np.testing.assert_array_equal(looked_at, [shot(1)])
+    assert "expected one of them as topic" in said_here(*asked).stderr
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

@@ -27,6 +27,7 @@ from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import read_image
 from hierax.nodes.tracking.math.geometry import rotation_of
 from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.writing import ENDING
 from hierax.schemas.values import encode_value
 
 FRAMES, OBJECTS, FPS = 4, 2, 25
@@ -225,6 +226,22 @@ def test_a_message_that_is_none_is_told(made: Path, tmp_path: Path) -> None:
         export_rosbag(spoilt, tmp_path / "bag")
     with pytest.raises(DataError, match=re.escape(f"{spoilt}: ")):
         CameraWorld(str(spoilt)).initial_belief()
+
+
+def test_of_a_recording_that_was_cut_off_a_warning_tells(
+    made: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    contents = Contents.read(made / "folder.mcap")
+    del contents.metadata[ENDING]
+    contents.write(tmp_path / "cut.mcap")
+    whole = export_rosbag(made / "folder.mcap", tmp_path / "whole")
+    assert not caplog.records
+    assert export_rosbag(tmp_path / "cut.mcap", tmp_path / "cut") == whole
+    assert [each.levelname for each in caplog.records] == ["WARNING"]
+    assert "cut.mcap: it was cut off: its last chunk" in caplog.text
+    replace(contents, said=()).write(tmp_path / "empty.mcap")
+    with pytest.raises(DataError, match=re.escape("empty.mcap: has no epochs; expected some to export")):
+        export_rosbag(tmp_path / "empty.mcap", tmp_path / "empty")
 
 
 def test_pictures_stand_without_poses_where_a_process_died_before_it_told_what_it_believed(

@@ -118,6 +118,9 @@ def test_lenses_that_there_are_do_not_fold_the_picture(focal: float, coefficient
     [
         ({"image_width": None}, "image_width: expected a number of pixels, got None"),
         ({"image_width": 640.5}, "image_width: expected a number of pixels, got 640.5"),
+        ({"image_width": [[1, 2], [3, 4]]}, "image_width: expected a number of pixels, got a list"),
+        ({"image_width": {"a": 1}}, "image_width: expected a number of pixels, got a map"),
+        ({"image_width": 2**400}, "image_width: expected a number of pixels, got 258224987"),
         ({"image_height": -1}, "image_height: expected a number of pixels, got -1"),
         ({"image_height": True}, "image_height: expected a number of pixels, got True"),
         ({"image_width": 1 << 24}, "image_width: expected at most 33554432 pixels in all"),
@@ -129,7 +132,10 @@ def test_lenses_that_there_are_do_not_fold_the_picture(focal: float, coefficient
         ({"camera_matrix": {"data": [1e9, *MATRIX[1:]]}}, "camera_matrix: expected focal lengths of 1 to 1e+06"),
         ({"camera_matrix": {"data": [*MATRIX[:8], 2.0]}}, "camera_matrix: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]"),
         ({"distortion_model": "wide"}, "distortion_model: expected one of plumb_bob, rational_polynomial, equidist"),
-        ({"distortion_model": ["a"]}, "distortion_model: expected one of plumb_bob"),
+        (
+            {"distortion_model": ["a"]},
+            "distortion_model: expected one of plumb_bob, rational_polynomial, equidistant, fisheye, got a list",
+        ),
         ({"distortion_coefficients": None}, "distortion_coefficients: expected a matrix with rows, cols and data"),
         (
             {"distortion_coefficients": None, "dist_coeff": [COEFFICIENTS]},
@@ -181,7 +187,25 @@ def test_a_lens_without_distortion_says_so_by_an_empty_list_or_by_no_model(tmp_p
         ("a.yaml", "a: !!python/object:os.system x\n", "could not determine a constructor"),
         ("a.yaml", "a: " + "[" * 5000, "; expected a calibration"),
         ("a.yaml", "\x00\x01", "; expected a calibration"),
+        ("a.yaml", "a: 1\nb: !!timestamp foo\n", ", line 2: 'foo' cannot be read as timestamp; expected a calibration"),
+        ("a.yaml", "a: !!bool foo\n", ", line 1: 'foo' cannot be read as bool; expected a calibration"),
+        ("a.yaml", "a: !!int ''\n", ", line 1: '' cannot be read as int; expected a calibration"),
+        ("a.yaml", "a: 2020-13-45\n", ", line 1: '2020-13-45' cannot be read as timestamp; expected a calibration"),
+        ("a.yaml", f"a: 1{':59' * 300}.5\n", "cannot be read as float; expected a calibration"),
+        ("a.yaml", f"image_width: 0x{'f' * 5000}\n", "image_width: expected a number of pixels, got a huge number"),
         ("a.xml", "<opencv_storage>", ", line 1: no XML"),
+        (
+            "a.xml",
+            '<?xml version="1.0" encoding="gb2312"?><o/>',
+            "a.xml: no XML (multi-byte encodings are not",
+        ),
+        (
+            "a.xml",
+            '<?xml version="1.0" encoding="foo"?><o/>',
+            "a.xml: no XML (unknown encoding: foo); expected a",
+        ),
+        ("a.xml", "<o><image_width>!!bool</image_width></o>", "image_width: expected a number of pixels, got '!!bool'"),
+        ("a.xml", "<o><K><data>1 !!int</data></K></o>", "a.xml: K: cannot be read; expected numbers with blanks"),
         ("a.xml", "<opencv_storage/>", "image_width: expected a number of pixels"),
         ("a.xml", "<o><K><data>1 [ 2</data></K></o>", "a.xml: K: cannot be read; expected numbers with blanks"),
     ],
@@ -193,6 +217,17 @@ def test_what_is_no_calibration_is_told(name: str, content: str | None, told: st
     with pytest.raises(DataError, match=re.escape(str(path))) as raised:
         read_calibration(path)
     assert told in str(raised.value)
+
+
+@pytest.mark.parametrize("count", [0, 4, 5, 8, 12, 14])
+@pytest.mark.parametrize("model", ["equidistant", "fisheye"])
+def test_a_fisheye_lens_may_have_as_many_zeros_as_others(model: str, count: int, tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    changes = {"distortion_model": model, "distortion_coefficients": {"data": [0.0] * count}}
+    path.write_text(yaml.safe_dump(ROS | changes))
+    lens = read_calibration(path)
+    assert (lens.fisheye, lens.coefficients.tolist()) == (True, [0.0] * 4)
+    assert lens.straightened(np.zeros((480, 640), np.uint8)).shape == (480, 640)
 
 
 def test_a_calibration_of_a_lens_that_cannot_be_is_one_nevertheless(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from support.boards import PINHOLE
+from support.junk_recordings import Contents
 from support.launched import said_here
 from support.streams import number_of, numbered
 
@@ -18,6 +19,7 @@ from hierax.nodes.sources.calibration import write_calibration
 from hierax.nodes.sources.camera import CameraWorld, picture_seen
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import Array, write_picture
+from hierax.runtime.recording.writing import ENDING
 from hierax.runtime.testing.node import check_node
 
 COUNT = 12
@@ -72,6 +74,19 @@ def test_an_epoch_done_again_shows_the_same_also_in_another_process(folder: Path
             np.testing.assert_array_equal(again.predict((), (), beliefs[at])["image"], shot(at + 1))
 
 
+def test_a_time_in_a_relative_name_is_no_protocol(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "10:30:00.avi").write_bytes((folder / "video.avi").read_bytes())
+    (tmp_path / "11:30:00.avi").touch()
+    monkeypatch.chdir(tmp_path)
+    (picture,) = picture_seen(CameraWorld("10:30:00.avi").initial_belief())
+    np.testing.assert_array_equal(picture["image"], shot(0))
+    with pytest.raises(DataError, match=re.escape("11:30:00.avi: cannot be opened")) as raised:
+        CameraWorld("11:30:00.avi").initial_belief()
+    assert str(tmp_path) not in str(raised.value)
+
+
 def test_the_world_keeps_what_every_node_must(folder: Path) -> None:
     check_node(lambda: CameraWorld(str(folder / "video.avi")), epochs=5)
 
@@ -100,6 +115,30 @@ def test_any_hierarchy_can_use_it_and_its_recording(folder: Path, tmp_path: Path
         done = said_here("diff", str(video), str(tmp_path / f"{number}.mcap"))
         assert "first difference" not in done.stdout, done.stdout
         assert f"{COUNT} epochs" in done.stdout, done.stdout
+
+
+def test_of_a_recording_that_was_cut_off_one_warning_tells(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    told, run = tmp_path / "eye.yaml", tmp_path / "run.mcap"
+    told.write_text(HIERARCHY.replace("SOURCE", str(folder / "shots")).replace("CALIBRATION", "null"))
+    done = said_here("run", str(told), "--record", str(run))
+    assert done.returncode == 0, done.stderr
+    contents = Contents.read(run)
+    del contents.metadata[ENDING]
+    contents.write(tmp_path / "cut.mcap")
+    replace(contents, said=()).write(tmp_path / "empty.mcap")
+    for name, warnings in (("run.mcap", 0), ("cut.mcap", 1)):
+        caplog.clear()
+        world = CameraWorld(str(tmp_path / name))
+        beliefs = [world.initial_belief()]
+        while not beliefs[-1]["ended"]:
+            beliefs.append(world.predict((), (), beliefs[-1]))
+        assert len(beliefs) == COUNT + 1
+        world.predict((), (), beliefs[0])  # an epoch that is done again
+        assert caplog.text.count(f"{name}: it was cut off: its last chunk") == len(caplog.records) == warnings
+    with pytest.raises(DataError, match=re.escape("empty.mcap: has no epochs; expected some to show")):
+        CameraWorld(str(tmp_path / "empty.mcap")).initial_belief()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.deployments import write
+from support.deployments import line_of, write
 
 from hierax.runtime.commands import membership as changes
 from hierax.runtime.commands.main import main
@@ -211,6 +211,29 @@ def test_a_node_of_the_deployment_is_attached_by_name_with_the_settings_of_the_l
     assert json.loads(capsys.readouterr().out) == {"epoch": 42}
     change = launches.asked[-1][1]["change"]
     assert [(edge["lower"], edge["upper"]) for edge in change["edges"]] == [("left", "top.most"), ("world", "left")]
+
+
+def test_secret_settings_of_the_launch_are_not_needed_to_change_it(
+    launches: FakeLaunches, capsys: pytest.CaptureFixture[str]
+) -> None:
+    launches.runs("aaaa1111", "tcp/127.0.0.1:1")
+    launches.answers["tcp/127.0.0.1:1"]["settings"] = ["step=5", "zenoh.transport.auth.usrpwd.password"]
+    assert main(["attach", "left"]) == 0
+    assert capsys.readouterr().out == "attached left at epoch 42\n"
+
+
+def test_what_is_refused_of_a_snippet_is_told_with_its_place_there(
+    launches: FakeLaunches, capsys: pytest.CaptureFixture[str], snippet: str
+) -> None:
+    launches.runs("aaaa1111", "tcp/127.0.0.1:1")
+    what = "nodes.extra.class: there is no 'Summer'"
+    for refusal in (f"extra: {what}", what):  # by its process, or by the launch
+        launches.answers["change"] = {"refusal": refusal}
+        assert error(capsys, "attach", snippet) == f"{snippet}:2: {what}"
+    launches.answers["change"] = {"refusal": "left: nodes.left.class: no"}
+    assert error(capsys, "attach", "left") == f"{launches.file}:{line_of('left: {class')}: nodes.left.class: no"
+    launches.answers["change"] = {"refusal": "extra: observe in epoch 3: KeyError: 'n'"}
+    assert error(capsys, "attach", snippet) == "extra: observe in epoch 3: KeyError: 'n'"
 
 
 def test_what_the_launch_refuses_is_the_commands_error(

@@ -151,6 +151,15 @@ def test_a_narrow_terminal_shows_what_matters() -> None:
     assert len(lines) == 5
 
 
+@pytest.mark.parametrize("output_format", ["json", "text"])
+def test_a_launch_that_ends_before_it_was_looked_at(
+    live: Live, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], output_format: str
+) -> None:
+    monkeypatch.setattr("hierax.runtime.commands.top.overviews", lambda *_: iter(()))
+    assert main(["top", "--once", "--format", output_format]) == 1
+    assert capsys.readouterr() == ("", "error: the launch is over\n")
+
+
 def test_without_a_launch(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

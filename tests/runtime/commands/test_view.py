@@ -11,6 +11,7 @@ from support.launched import Command, until
 from support.pace import paced
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.deployment import Deployment
 
 needs_rerun = pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="the extra [view] is not installed")
 
@@ -82,6 +83,36 @@ def test_a_run_and_its_recording_go_into_files(tmp_path: Path, capsys: pytest.Ca
     assert "seen at" not in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == [again, run, seen]
     assert f"{run}: is no file of Rerun's" in failure(capsys, str(run), "--save", str(run), "--overwrite")
+
+
+@needs_rerun
+def test_what_was_drawn_until_ctrl_c_is_kept(tmp_path: Path) -> None:
+    saved = tmp_path / "run.rrd"
+    with Command(tmp_path, "view", paced(tmp_path, "servo"), "--epochs", "10000000", "--save", str(saved)) as view:
+        shown = lambda: [path.stat().st_size for path in tmp_path.glob(".run.rrd.*")]  # noqa: E731
+        until(lambda: max(shown(), default=0) > 50_000, "something is shown")
+        os.kill(view.process.pid, signal.SIGINT)
+        view.end()
+        assert view.process.returncode == 130, view.err
+        assert view.err.endswith(f"seen at {saved}\ninterrupted"), view.err
+    assert b"/position_m/world/object" in saved.read_bytes()
+    assert shown() == []
+
+
+@needs_rerun
+@pytest.mark.parametrize("more", [(), ("--overwrite",)])
+def test_probes_hear_whether_they_may_overwrite(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: tuple[str, ...]
+) -> None:
+    seen: list[bool] = []
+
+    def run_seen(deployment: Deployment, *_: object, **options: object) -> None:
+        seen.extend(each.overwrite for each in deployment.probes)
+
+    monkeypatch.setattr("hierax.runtime.viewing.live.run_seen", run_seen)
+    assert main(["view", paced(tmp_path, "servo"), "--save", str(tmp_path / "x.rrd"), *more]) == 0
+    assert seen
+    assert set(seen) == {bool(more)}
 
 
 @needs_rerun

@@ -42,6 +42,24 @@ def test_a_path_as_keys(text: str, keys: Keys) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "is_there"),
+    [
+        ("nodes.cam.class", True),
+        ("nodes.cam.left.parameters.noise", True),
+        ("nodes.other.class", False),
+        ("nodes", False),
+        ("edges.cam->cam.left.sense", True),
+        ("edges.cam->other.sense", False),
+        ("probes[0].class", False),
+        ("observe in epoch 3", False),
+        ("", False),
+    ],
+)
+def test_whether_the_node_or_edge_of_a_path_is_there(text: str, is_there: bool) -> None:
+    assert document().has_part(text) == is_there
+
+
+@pytest.mark.parametrize(
     ("keys", "place"),
     [
         (("nodes", "cam", "class"), "f.yaml:3"),

@@ -404,6 +404,9 @@ def test_places_and_errors_of_later_stages(tmp_path: Path) -> None:
     assert str(deployment.explain(MisfitError(f"{MisfitError.where}: too much"))) == (
         f"{path}:{line}: nodes.top.most.parameters.scale: too much (from ${{scale}}, {path}:7)"
     )
+    MisfitError.where = "nodes.extra.class"  # of a snippet: it is not in this file
+    error = MisfitError("nodes.extra.class: there is none")
+    assert deployment.explain(error) is error
     other = HieraxError("the link is down")
     assert deployment.explain(other) is other
 

@@ -3,8 +3,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.deployments import write
+from support.deployments import line_of, write
 
+from hierax.runtime.commands.main import main
 from hierax.runtime.deployment import DeploymentError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import read_attach, read_replace, read_schedule
@@ -101,3 +102,18 @@ def test_a_wrong_snippet_has_its_own_place(tmp_path: Path) -> None:
     wrong = write(tmp_path, THIRD.replace("class", "clas"), "wrong.yaml")
     with pytest.raises(DeploymentError, match=r"wrong\.yaml:2: nodes\.third\.clas: unknown field"):
         read_schedule([f"3:attach:{wrong}"], read_deployment(write(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "places"),
+    [("2:attach", "third", ["other.yaml:2"]), ("2:replace:left", "left", ["toys.yaml:{left}", "other.yaml:2"])],
+)
+def test_an_error_of_a_scheduled_change_names_its_snippet(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, name: str, places: list[str]
+) -> None:
+    text = THIRD if name == "third" else LEFT
+    other = write(tmp_path, text.replace("Summer", "Sumer"), "other.yaml")
+    file = write(tmp_path)
+    assert main(["run", str(file), "--at", f"{change}:{other}"]) == 1
+    where = " or ".join(f"{tmp_path}/{place.format(left=line_of('left: {class'))}" for place in places)
+    assert f"error: {where}: nodes.{name}.class: " in capsys.readouterr().err

@@ -92,6 +92,19 @@ def test_a_run_goes_on_behind_its_end(finished: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["epochs"] == 6
 
 
+def test_a_resumed_run_without_an_output_is_not_mixed_with_the_one_in_a_folder(finished: Path, tmp_path: Path) -> None:
+    for name in ("state", "out"):
+        shutil.copytree(finished / name, tmp_path / name)
+    fields = json.loads((finished / "state" / "run.json").read_text())
+    (tmp_path / "state" / "run.json").write_text(json.dumps({**fields, "output": ""}))
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    resumes = ("launch", "--resume", str(tmp_path / "state"), "--trust", "--set", SET, "--epochs", "6")
+    done = hierax(tmp_path / "out", *resumes, "--output", ".")
+    assert done.returncode == 1, done.stderr
+    assert "error: --output .: there is a run in it already" in done.stderr
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
+
+
 def test_a_run_that_was_ended_before_its_first_epoch_is_not_resumed(finished: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
     state.mkdir(mode=0o700)

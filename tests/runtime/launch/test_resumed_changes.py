@@ -71,6 +71,14 @@ def test_a_change_counts_that_the_launch_did_not_live_to_write_down(live: Live) 
     live.is_repeated_by(f"{replaced}:replace:high:{other}", f"{attached}:attach:{top}")
 
 
+def test_set_leaves_what_follows_when_the_process_ends_as_it_is(live: Live) -> None:
+    attached = live.snippet("top", "high", policy=", on_loss: detach, rejoin_timeout: 3")
+    live.change("attach", attached)
+    live.change("set", "top.generation=1")
+    terms = read_run(live.folder / "state").terms["top"]
+    assert (terms["on_loss"], terms["rejoin_timeout_s"]) == ("detach", 3)
+
+
 def replacing(live: Live) -> Path:
     """Have a node replaced by one that waits in its first epoch, and wait until it does; gives for what."""
     go_on = live.folder / "go-on"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from enum import IntEnum
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,30 @@ def test_parameters_are_as_a_file_has_them() -> None:
     assert edge.sense is not None
     given = {"noise": 0.1, "text": "a ${b}", "array": ((1.0, 0.0), (0.0, 1.0)), "pair": (1, 2), "where": "x"}
     assert edge.sense.parameters == given
+
+
+class Mode(IntEnum):
+    """A number with a name."""
+
+    FAST = 1
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["1e5", "-.5", "0o17", "true", "no", "~", "2026-01-02", "1:30", "<<", "", "a: b", Mode.FAST, np.float64(20.0)],
+)
+def test_what_looks_like_something_else_is_in_the_file_what_it_was(value: object, tmp_path: Path) -> None:
+    hierarchy = hierax.Hierarchy("servo").add("world", SlidingWorld).add("camera", CameraNode)
+    hierarchy.join("world", "camera", sense=partial(MeasuredPosition, noise=value))
+    hierarchy.to_yaml(tmp_path / "servo.yaml")
+    edge = read_deployment(tmp_path / "servo.yaml").roster.edges[0]
+    assert edge.sense is not None
+    found = edge.sense.parameters["noise"]
+    assert (found, isinstance(found, str)) == (value, isinstance(value, str))
+
+
+def test_a_rate_may_be_a_number_of_numpys() -> None:
+    assert "rate_hz: 20.0" in hierax.Hierarchy("servo").add("world", SlidingWorld, rate_hz=np.float64(20.0)).text()
 
 
 def inside() -> Any:

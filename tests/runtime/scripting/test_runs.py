@@ -23,6 +23,7 @@ from hierax.runtime.core.node import Node
 from hierax.runtime.deployment.snippet import Scheduled, attach_of
 from hierax.runtime.execution.single import run as run_at_once
 from hierax.runtime.launch.run_file import known_runs
+from hierax.runtime.recording.reading import Recording
 from hierax.runtime.scripting import runs
 from hierax.schemas.roster import Detach
 
@@ -291,6 +292,28 @@ def test_a_launch_that_a_script_leaves_ends_with_it(tmp_path: Path) -> None:
     (tmp_path / "house_script.py").write_text(LEFT, encoding="utf-8")
     done = script(tmp_path, "house_script.py")
     assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
+RECORDS = """\
+import hierax
+
+run = hierax.run("letters", epochs=5, record="a.mcap")
+for epoch in run:
+    pass
+"""
+
+
+def test_a_run_that_a_script_leaves_is_recorded_as_a_whole(tmp_path: Path) -> None:
+    (tmp_path / "house_script.py").write_text(RECORDS, encoding="utf-8")
+    done = script(tmp_path, "house_script.py")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert Recording.open(tmp_path / "a.mcap").ending.last == 5
+
+
+@pytest.mark.parametrize("part", [toys(staleness=3), toys().probe("sum", Counter)])
+def test_what_is_more_than_nodes_and_edges_joins_no_run(part: hierax.Hierarchy) -> None:
+    with hierax.run(toys(), epochs=3) as run, pytest.raises(HieraxError, match="joins a run has nodes and edges alone"):
+        run.attach(part)
 
 
 def test_classes_that_no_process_can_import_are_refused(tmp_path: Path) -> None:

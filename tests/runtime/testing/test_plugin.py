@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.deployments import write
 from support.hierarchies import random_hierarchy
@@ -75,6 +77,52 @@ def test_a_deployment_file(hierax_run: Callable[..., Ran], tmp_path: Path) -> No
     assert ran.digests[-1] == ran.digest
     assert [step.observations for step in ran.steps["left"]] == [(0.0,), (5.0,), (10.0,), (15.0,)]
     assert hierax_run(write(tmp_path), epochs=4, seed=3, set={"step": 5}).digests == ran.digests
+
+
+WORLD_OF_VALUES = """hierarchy: told
+world: world
+parameters: {value: null}
+nodes:
+  world: {class: "valued:Told", parameters: {value: "${value}"}}
+edges: {}
+"""
+VALUED = """from hierax.runtime import World
+
+
+class Told(World):
+    def __init__(self, value):
+        self.value = value
+
+    def initial_belief(self):
+        return {"value": self.value}
+"""
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("\U0001f600 no: [1", None),
+        ("yes", None),
+        (np.int64(3), 3),
+        (np.float32(0.5), 0.5),
+        (-math.inf, None),
+        ({"a": [1e-12, math.inf]}, {"a": (1e-12, math.inf)}),
+        (np.array([[1.0, 2.0]]), ((1.0, 2.0),)),
+        ((True, None), (True, None)),
+    ],
+)
+def test_values_arrive_as_they_are_given(
+    hierax_run: Callable[..., Ran], tmp_path: Path, value: object, told: object
+) -> None:
+    (tmp_path / "valued.py").write_text(VALUED)
+    (tmp_path / "told.yaml").write_text(WORLD_OF_VALUES)
+    found = hierax_run(tmp_path / "told.yaml", epochs=1, set={"value": value}).beliefs["world"]["value"]
+    assert found == (value if told is None else told)
+
+
+def test_a_value_that_no_file_has_is_refused(hierax_run: Callable[..., Ran], tmp_path: Path) -> None:
+    with pytest.raises(HieraxError, match=r"set step: expected text, numbers, lists or maps, got <object"):
+        hierax_run(write(tmp_path), epochs=1, set={"step": object()})
 
 
 def test_a_shipped_deployment(hierax_run: Callable[..., Ran]) -> None:

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.canvas import KeptCanvas
-from support.deployments import write
+from support.deployments import replaced, write
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.showing import Curve, Image, Lines2D, Mesh
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution import single
@@ -85,3 +86,15 @@ def test_what_cannot_be_shown_ends_the_run(tmp_path: Path) -> None:
     presenter = ViewPresenter(KeptCanvas(), together=lambda steps: {"sum": steps["nobody"].belief})
     with pytest.raises(ShowError, match=r"^view\.show in epoch 1: KeyError: 'nobody'$"):
         run_seen(deployment, presenter, epochs=3, seed=0)
+
+
+def test_a_run_that_raises_says_nothing_of_views_that_it_did_not_come_to(tmp_path: Path) -> None:
+    told: list[str] = []
+    failing = "top.most:\n    class: support.toy_nodes:Failing"
+    text = replaced("top.most:\n    class: support.toy_nodes:Summer", failing)
+    text = replaced('    parameters:\n      scale: "${scale}"\n      weights: [1, 2.5]\n', "", text)
+    deployment = read_deployment(write(tmp_path, text))
+    presenter = ViewPresenter(KeptCanvas(), layout=((("shown in the end",),),), notify=told.append)
+    with pytest.raises(HieraxError, match="the camera is gone"):
+        run_seen(deployment, presenter, epochs=3, seed=0)
+    assert told == []

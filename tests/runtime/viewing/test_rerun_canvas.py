@@ -125,6 +125,28 @@ def test_a_curves_look_is_said_once_and_a_mesh_when_it_changes() -> None:
     ]
 
 
+def test_what_a_thing_has_no_more_is_cleared() -> None:
+    stream, drawing = canvas()
+    seen = {
+        "/scene/eye": Camera(np.eye(4), [5, 5, 3, 2], (6, 4), IMAGE),
+        "/scene/it": Mesh(CORNERS, [[0, 1, 2]]),
+        "/scene/points": Points3D(CORNERS, labels=("a", "b", "c")),
+        "/scene/box": Box([1, 1, 1]),
+    }
+    then = {
+        "/scene/eye": Camera(np.eye(4), [5, 5, 3, 2], (6, 4)),
+        "/scene/it": Box([1, 1, 1]),
+        "/scene/points": Points3D(CORNERS),
+        "/scene/box": Box([2, 1, 1]),
+    }
+    for epoch, things in enumerate((seen, seen, then, then), start=1):
+        drawing.draw(epoch, 0.0, placed("a", things, "here"))
+    cleared = [(epoch, path) for epoch, path, kind in stream.logged if kind == "Clear"]
+    assert cleared == [(3, f"scene/a/{name}") for name in ("eye", "eye/image", "it", "points")]
+    kinds = [kind for epoch, path, kind in stream.logged if (epoch, path) == (3, "scene/a/it")]
+    assert kinds == ["Clear", "Transform3D", "Boxes3D"], "cleared before it is drawn anew"
+
+
 def test_a_path_with_spaces_is_written_as_rerun_reads_it() -> None:
     stream, drawing = canvas()
     drawing.draw(1, 0.0, placed("a", {"plot/on 3 1": 1.0}, "here"))
