@@ -25,8 +25,9 @@ class _Dumper(yaml.SafeDumper):
 _Dumper.add_multi_representer(int, lambda dumper, value: dumper.represent_int(int(value)))
 _Dumper.add_multi_representer(float, lambda dumper, value: dumper.represent_float(float(value)))
 _Dumper.add_multi_representer(str, lambda dumper, value: dumper.represent_str(str.__str__(value)))
-_Dumper.add_multi_representer(np.generic, lambda dumper, value: dumper.represent_data(value.item()))
-_Dumper.add_multi_representer(np.ndarray, lambda dumper, value: dumper.represent_data(value.tolist()))
+_OF_NUMPY: tuple[Any, ...] = (np.generic, np.ndarray)
+for _kind in _OF_NUMPY:
+    _Dumper.add_multi_representer(_kind, lambda dumper, value: dumper.represent_data(value.tolist()))
 
 
 def yaml_of(value: Any) -> str:
