@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import Format, Full, Node, RunOptions, argument, offers, option
+from hierax.runtime.commands.recordings import recording_of
 from hierax.runtime.commands.show import print_json
 from hierax.runtime.commands.which_launch import Meant, client_at, launch_meant, own_deployment
 from hierax.runtime.core.errors import HieraxError
@@ -78,11 +79,10 @@ def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> "tup
     """The same of a recording."""
     from hierax.runtime.core.node import class_name
     from hierax.runtime.loading.loader import extend_import_path
-    from hierax.runtime.recording.reading import Recording
     from hierax.runtime.recording.replay import allowance_of, recorded_deployment
     from hierax.runtime.viewing.recorded_run import recorded_look
 
-    recording = Recording.open(file)
+    recording = recording_of(file)
     allowance = allowance_of(recording, trust)
     extend_import_path(recorded_deployment(recording.info).import_paths)
     look, roster = recorded_look(recording, node, epoch, allowance)

@@ -86,6 +86,10 @@ class ViewPresenter:
             self._latest.pop(name, None)
             self._standing.pop(name, None)
 
+    def wants(self, name: str) -> bool:
+        """Whether a node's steps are shown: others need not be built."""
+        return True
+
     def step(self, name: str, node: Node, step: Step, start: Value = None) -> None:
         """Show what a node did, by its `show` and `metrics`, as `OperatorError` or `ShowError` says if that cannot be.
         `start` is the belief that the epoch began in, where that is known and no step before it was shown."""

@@ -68,6 +68,8 @@ class _Playing:
         if start is not None or epoch >= trace.epoch:
             before = None if start is None else start.belief
         self._beliefs[name] = (trace.epoch, state.belief)
+        if not self._presenter.wants(name):
+            return
         sensed = trace.sensed_of(name)
         if sensed is None and name == trace.roster.world:
             sensed = None if before is None else (before,)  # the world senses nothing
@@ -135,6 +137,8 @@ class _Keeping(ViewPresenter):
     def set_roster(self, roster: Roster) -> None:
         self.roster = roster
 
+    def wants(self, name: str) -> bool:
+        return name == self._name
+
     def step(self, name: str, node: Node, step: Step, start: Value = None) -> None:
-        if name == self._name:
-            self.found = Look(name, node, step, self._before(name, step, start))
+        self.found = Look(name, node, step, self._before(name, step, start))

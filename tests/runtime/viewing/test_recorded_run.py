@@ -6,13 +6,16 @@ import pytest
 from support.canvas import KeptCanvas
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.core.node import Node
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.loading.loader import load_function
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import allowance_of, recorded_deployment
 from hierax.runtime.viewing.live import run_seen
 from hierax.runtime.viewing.presenter import ViewPresenter
-from hierax.runtime.viewing.recorded_run import show_recording
+from hierax.runtime.viewing.recorded_run import recorded_look, show_recording
+from hierax.runtime.viewing.views import ShownNodes
+from hierax.schemas.roster import Roster
 
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 
@@ -56,6 +59,21 @@ def test_a_part_of_a_recording(tmp_path: Path) -> None:
     assert sorted(canvas.drawn) == [5, 6, 7, 8, 9]
     assert "epochs/took_ms" not in canvas.drawn[5]
     assert canvas.drawn[6]["epochs/took_ms"].thing > 0.0  # type: ignore[operator]
+
+
+def test_of_a_node_that_is_looked_at_no_other_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = recorded(tmp_path, "servo", 5)
+    built: list[str] = []
+    node = ShownNodes.node
+
+    def told(nodes: ShownNodes, roster: Roster, name: str) -> Node:
+        built.append(name)
+        return node(nodes, roster, name)
+
+    monkeypatch.setattr(ShownNodes, "node", told)
+    look, _ = recorded_look(recording, "motion", None, allowance_of(recording))
+    assert look.step.epoch == 5
+    assert set(built) == {"motion"}
 
 
 def test_of_a_recording_that_was_cut_is_shown_what_there_is(tmp_path: Path) -> None:
