@@ -103,9 +103,9 @@ cameras: $(INSTALLED)
 ros2: $(ROS)
 	$(BIN)/python benchmarks/ros2.py
 
-# docs/tower.md: 20 scenes for each builder and interference, five of each launched, too, and three with kills; eight hours;
+# docs/tower.md: 20 scenes for each builder and interference, five of each launched, too, and three with kills; four hours;
 # but for the kills it goes on where it was ended
-TOWERS := --jobs 2 --keep towers.jsonl
+TOWERS := --jobs 2 --keep benchmarks/towers.jsonl
 .PHONY: towers
 towers: $(INSTALLED)
 	status=0; for cell in "--builder reactive,planner" "--person every --least 18" "--person random --least 17" \
