@@ -150,6 +150,11 @@ def _end(thread: threading.Thread, asked: SimpleQueue[_Asked]) -> None:
         while True:
             asked.get_nowait()
     asked.put(None)
+    await_end(thread)
+
+
+def await_end(thread: threading.Thread) -> None:
+    """Wait until a thread that reads has ended, but not for long."""
     if thread.is_alive() and thread is not threading.current_thread():  # where garbage is collected
         thread.join(END_S)
 

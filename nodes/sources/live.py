@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 
 from hierax.nodes.sources.files import DataError, told_of
-from hierax.nodes.sources.images import END_S, Array, decode_image
+from hierax.nodes.sources.images import Array, await_end, decode_image
 from hierax.nodes.sources.played import colours, is_grey, quiet
 from hierax.nodes.sources.shots import Seen, Shot, Size, Source, check_size
 
@@ -75,8 +75,7 @@ class Live(Source):
     def close(self) -> None:
         """Read no more. A frame that never comes is not waited for."""
         self._closed.set()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():  # where garbage is collected
-            self._thread.join(END_S)
+        await_end(self._thread)
 
     @abstractmethod
     def _stream(self) -> str:

@@ -31,7 +31,7 @@ def attach(
     host: Annotated[str | None, option("--host", help="With --here: this machine's address for the others.")] = None,
 ) -> int:
     """Attach nodes to a hierarchy that runs, and print the epoch at which they took effect."""
-    from hierax.runtime.deployment.snippet import read_attach, read_terms, snippet_of
+    from hierax.runtime.deployment.snippet import read_attaching
 
     if host is not None and not here:
         raise CommandError("--host: only with --here; the new processes come up where the launch runs")
@@ -47,10 +47,8 @@ def attach(
             "here is what that file and SOURCE name; or --trust, to run whatever the launch names"
         )
     file = deployment_at(launch, options.deployment_file)
-    change = read_attach(source, file)
-    terms = read_terms(source, file, attached=True)
+    change, terms, document = read_attaching(source, file)
     what = f"attached {', '.join(change.nodes)}"
-    document = snippet_of(source, file) or file.document
     if not here:
         with _explaining(change.nodes, document):
             answer = ask_for(launch, change, terms)
@@ -85,12 +83,12 @@ def detach(node: Node, options: RunOptions, cascade: Annotated[bool, option("--c
 @offers("run", "connect", "key", "deployment_file", "output_format")
 def replace(node: Node, source: Snippet, options: RunOptions) -> int:
     """Let another class or other parameters take a node's place and belief, and print the epoch."""
-    from hierax.runtime.deployment.snippet import read_replace, read_terms, snippet_of
+    from hierax.runtime.deployment.snippet import read_replacing
 
     launch = launch_meant(options.run, options.connect, options.key)
     file = deployment_at(launch, options.deployment_file)
-    change, terms = read_replace(source, node, file), read_terms(source, file)
-    with _explaining([node], snippet_of(source, file) or file.document):
+    change, terms, document = read_replacing(source, node, file)
+    with _explaining([node], document):
         answer = ask_for(launch, change, terms)
     return print_epoch(answer, f"replaced {node}", options.output_format)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def run(file: File, options: RunOptions) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime.commands.run_deployment import run_deployment
-    from hierax.runtime.deployment.snippet import read_schedule, scheduled_snippets
+    from hierax.runtime.deployment.snippet import read_schedule
     from hierax.runtime.execution import single
     from hierax.runtime.execution.pacemaker import Breaker
     from hierax.runtime.watch.prints import named_turns
@@ -32,7 +32,8 @@ def run(file: File, options: RunOptions) -> int:
 
     def run_scheduled(deployment: "Deployment", **given: Any) -> "Report":
         schedule = read_schedule(options.at or (), deployment)
-        explained = replace(deployment, snippets=scheduled_snippets(options.at or (), deployment))
+        snippets = tuple(each.document for each in schedule if each.document is not None)
+        explained = replace(deployment, snippets=snippets)
         if recorded or options.check:
             from hierax.runtime.recording.info import RunInfo
             from hierax.runtime.recording.recorder import InProcess, Recorder

@@ -26,6 +26,7 @@ from hierax.schemas.roster import Attach, Change, Detach, Replace, Roster
 FORMS = {"attach": "EPOCH:attach:FILE", "detach": "EPOCH:detach:NAME[:cascade]", "replace": "EPOCH:replace:NAME:FILE"}
 """How each change is written."""
 
+Terms = Mapping[str, ProcessTerms]
 _DIGITS = 19
 _OF_THE_PLACE = ("rate_hz", "budget_ms", "scheduling")  # what a node keeps when another takes its place
 
@@ -60,14 +61,20 @@ def read_terms(source: str | Path, deployment: Deployment, *, attached: bool = F
     return terms_of(_document(source, deployment), deployment, attached=attached)
 
 
-def snippet_of(source: str | Path, deployment: Deployment) -> Document | None:
-    """The snippet that a source of `read_attach` or `read_replace` is, by which errors are explained; None: it is a
-    node of the deployment file. Raises `DeploymentError` as `read_attach` does."""
+def read_attaching(source: str | Path, deployment: Deployment) -> tuple[Attach, Terms, Document]:
+    """`read_attach` and `read_terms` of a source, and the document that has its nodes, which is read once: by it errors
+    about them are explained."""
     if _is_node(source, deployment):
-        return None
+        terms = read_terms(source, deployment, attached=True)
+        return read_attach(source, deployment), terms, deployment.document
     document = _document(source, deployment)
-    substitute(document)  # errors name the parameters that values came from
-    return document
+    return attach_of(document), terms_of(document, deployment, attached=True), document
+
+
+def read_replacing(source: str | Path, name: str, deployment: Deployment) -> tuple[Replace, Terms, Document]:
+    """`read_replace` and `read_terms` of a source, and its document, as `read_attaching`."""
+    document = _document(source, deployment)
+    return replace_of(document, name), terms_of(document, deployment), document
 
 
 def attach_of(document: Document) -> Attach:
@@ -157,6 +164,7 @@ class Scheduled(NamedTuple):
     epoch: int
     change: Change
     terms: Mapping[str, ProcessTerms] = {}  # of the processes of its new nodes
+    document: Document | None = None  # that has them, by which errors about them are explained
 
 
 def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:
@@ -170,15 +178,6 @@ def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Schedul
     for scheduled, text in read:
         roster = _after(scheduled.change, roster, deployment, f"--at {text}")
     return tuple(scheduled for scheduled, _ in read)
-
-
-def scheduled_snippets(texts: Sequence[str], deployment: Deployment) -> tuple[Document, ...]:
-    """The snippets of changes that `read_schedule` has read, by which errors are explained."""
-    parts = [text.split(":", 2) for text in texts]
-    sources = [rest for _, kind, rest in parts if kind.strip() == "attach"]
-    sources += [rest.partition(":")[2] for _, kind, rest in parts if kind.strip() == "replace"]
-    found = [snippet_of(source, deployment) for source in sources]
-    return tuple(document for document in found if document is not None)
 
 
 def _after(change: Change, roster: Roster, deployment: Deployment, place: str) -> Roster:
@@ -203,10 +202,10 @@ def _scheduled(text: str, deployment: Deployment) -> Scheduled:
         raise DeploymentError(f"expected the number of an epoch, from 1, got {number!r:.40}", place)
     epoch = int(number)
     if kind == "attach" and rest:
-        return Scheduled(epoch, read_attach(rest, deployment), read_terms(rest, deployment, attached=True))
+        return Scheduled(epoch, *read_attaching(rest, deployment))
     name, colon, rest = rest.partition(":")
     if kind == "replace" and name and rest:
-        return Scheduled(epoch, read_replace(rest, name, deployment), read_terms(rest, deployment))
+        return Scheduled(epoch, *read_replacing(rest, name, deployment))
     if kind == "detach" and name and (not colon or rest == "cascade"):
         return Scheduled(epoch, Detach(name, bool(colon)))
     raise DeploymentError(f"expected {FORMS[kind]}", place)

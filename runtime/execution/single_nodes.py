@@ -246,7 +246,7 @@ class SingleNodes(Host):
     def change(self, epoch: int) -> None:
         """Make the changes that are due before an epoch; every node is done with the last one."""
         while self._schedule and self._schedule[0].epoch <= epoch:
-            _, change, terms = self._schedule.pop(0)
+            _, change, terms, _ = self._schedule.pop(0)
             if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
                 continue
             if isinstance(change, Replace) and change.name in self.runners and self._roster.timing is None:
