@@ -28,7 +28,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tower_scenes import CONTEXTS, RANDOM, episode, least_moves, settings, towers_of
+from tower_scenes import CONTEXTS, RANDOM, episode, given_of, least_moves, scenes_of, settings, towers_of
 
 from hierax.nodes.tower.builder import REACTIVE
 from hierax.nodes.tower.interferences import ACTS
@@ -158,22 +158,12 @@ def _read(arguments: list[str] | None) -> tuple[argparse.Namespace, dict[str, st
     parser.add_argument("--least", type=int, help="so many scenes of a cell have to be done; if not given, all")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="add rows to it, and take those that are there")
     options = parser.parse_args(arguments)
-    try:
-        scenes = range(*map(int, options.scenes.split(":", maxsplit=1)))
-    except ValueError:
-        scenes = range(0)
-    if not scenes:
-        parser.error(f"--scenes {options.scenes}: expected the first scene and one above the last, such as 0:20")
+    scenes = scenes_of(options, parser)
     if options.jobs < 1 or options.launched < 0:
         parser.error("--jobs: expected 1 or more, and --launched 0 or more")
     if options.launch and options.launched:
         parser.error("--launched compares launches with runs; --launch makes no runs")
-    given: dict[str, str] = {}
-    for each in options.set:
-        path, equals, value = each.partition("=")
-        if not equals or path in OWN:
-            parser.error(f"--set {each}: expected PATH=VALUE, and for {', '.join(OWN)} the option of that name")
-        given[path] = value
+    given = given_of(options, parser, OWN)
     return options, given, scenes
 
 

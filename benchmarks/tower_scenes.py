@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,28 @@ CONTEXTS = {
 }
 """What is set where a context is left out: by the node that it comes from, and those above it; or ``others``: each cube
 is expected to be seen as if it were alone."""
+
+
+def scenes_of(options: argparse.Namespace, parser: argparse.ArgumentParser) -> range:
+    """The scenes of ``--scenes``. Ends the program where there are none."""
+    try:
+        scenes = range(*map(int, options.scenes.split(":", maxsplit=1)))
+    except ValueError:
+        scenes = range(0)
+    if not scenes:
+        parser.error(f"--scenes {options.scenes}: expected the first scene and one above the last, such as 0:20")
+    return scenes
+
+
+def given_of(options: argparse.Namespace, parser: argparse.ArgumentParser, own: Sequence[str]) -> dict[str, str]:
+    """What each ``--set PATH=VALUE`` says. Ends the program where one says nothing, or what has an ``own`` option."""
+    given: dict[str, str] = {}
+    for each in options.set:
+        path, equals, value = each.partition("=")
+        if not equals or path in own:
+            parser.error(f"--set {each}: expected PATH=VALUE, and for {', '.join(own)} the option of that name")
+        given[path] = value
+    return given
 
 
 def settings(given: Mapping[str, str], scene: int, without: str | None = None) -> dict[str, str]:
