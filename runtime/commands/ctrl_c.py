@@ -56,6 +56,7 @@ def guarded(main: Callable[[Sequence[str]], int]) -> NoReturn:
 
         own_streams()
         code = main(sys.argv[1:])
+        CTRL_C.taken()  # also where a command has answered it by itself
     except BaseException:
         CTRL_C.taken()
         if not CTRL_C.came:  # else it is what a library has made of it

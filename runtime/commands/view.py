@@ -71,8 +71,7 @@ def view(options: RunOptions, source: Shown = None) -> int:
         except KeyboardInterrupt:
             if not endless and options.save is None:
                 raise
-            if options.save is not None:
-                CTRL_C.taken()  # what was drawn until then is kept, however long it takes
+            CTRL_C.taken()  # what was drawn until then is kept, and the viewer closed, however long it takes
             if endless:
                 notify("no longer looking")
             else:

@@ -74,6 +74,16 @@ def main(arguments):
         time.sleep(60)
 guarded(main)
 """
+ANSWERED = """
+import atexit
+atexit.register(lambda: print(signal.getitimer(signal.ITIMER_REAL), "until it comes again", file=sys.stderr))
+def main(arguments):
+    try:
+        press()
+    except KeyboardInterrupt:
+        return 0
+guarded(main)
+"""
 AT_THE_END = """
 import atexit
 atexit.register(press)
@@ -90,6 +100,7 @@ guarded(lambda arguments: 0)
         (TWICE, 130, ""),
         (WHERE_NOTHING_CAN_BE_RAISED, 130, "interrupted\n"),
         (WHERE_A_LIBRARY_DROPS_IT, 130, "interrupted\n"),
+        (ANSWERED, 0, "(0.0, 0.0) until it comes again\n"),
         (AT_THE_END, -2, ""),
     ],
 )
