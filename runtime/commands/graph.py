@@ -158,7 +158,7 @@ def validate(
 
 def _check(deployment: "Deployment", hierarchy: "Hierarchy") -> None:
     """All that can be told without calling more than the initial beliefs."""
-    from hierax.runtime.loading.loader import LoadError, build_probe, check_initial_belief
+    from hierax.runtime.loading.loader import LoadError, build_probe, check_initial_belief, load_function
     from hierax.runtime.loading.node_loader import misspelt_operators
 
     for name, node in hierarchy.nodes.items():
@@ -167,3 +167,5 @@ def _check(deployment: "Deployment", hierarchy: "Hierarchy") -> None:
         check_initial_belief(name, node)
     for index, probe in enumerate(deployment.probes):
         build_probe(probe.reference, f"probes[{index}]", deployment.allowance)
+    if deployment.view.show is not None:
+        load_function(deployment.view.show, "view.show", deployment.allowance)

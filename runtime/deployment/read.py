@@ -188,10 +188,10 @@ def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
 def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -> dict[str, Any] | str | None:
     if not names_file(value):
         return value
-    file = (path.parent / value).resolve()
+    file = path.parent / value
     if not file.is_file():
         raise document.error(("zenoh",), f"there is no file {str(file)!r}; expected a file, JSON5 text or a map")
-    return str(file)
+    return str(file.resolve())
 
 
 def roster_nodes(given: Mapping[str, models.NodeModel], document: Document) -> dict[str, Reference]:

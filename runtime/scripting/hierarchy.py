@@ -111,7 +111,8 @@ class Hierarchy:
         if self._world is None:
             raise HierarchyError(f"hierarchy {self.name!r} has no world: add a node whose class derives from World")
         probes = {"probes": self._probes} if self._probes else {}
-        top = {"hierarchy": self.name, **self._fields, "world": self._world}
+        fields = {key: _plain(value) for key, value in self._fields.items()}
+        top = {"hierarchy": self.name, **fields, "world": self._world}
         return {**top, "nodes": self._nodes, "edges": self._edges, **probes}
 
     def deployment(self) -> Deployment:
@@ -146,6 +147,13 @@ class Hierarchy:
 def _function(given: Code, what: str) -> Any:
     target, parameters = named(given, what)
     return {"function": target, "parameters": parameters} if parameters else target
+
+
+def _plain(value: Any) -> Any:
+    """A field's value with lists where Python has tuples, which a file has not."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def _makes_world(of: Code) -> bool:

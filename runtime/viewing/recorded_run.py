@@ -116,13 +116,21 @@ def recorded_look(recording: Recording, name: str, epoch: int | None, allowance:
     show_recording(recording, keeping, allowance, 1 if last is None else max(1, last - reach), last)
     roster, found = keeping.roster, keeping.found
     if roster is not None and name not in roster.nodes:
-        raise RecordingError(f"{recording.path}: there is no node {name!r} in it{did_you_mean(name, roster.nodes)}")
+        raise RecordingError(f"{recording.path}: {_absent(recording, roster, name)}")
     if roster is None or found is None or (epoch is not None and found.step.epoch != epoch):
         which = "any epoch" if epoch is None else f"epoch {epoch}"
         seldom = found is not None and roster is not None and roster.rates is not None
         before = f"; it took part in epoch {found.step.epoch} last before that" if found and seldom else ""
         raise RecordingError(f"{recording.path}: what {name} did in {which} is not in it{before}")
     return found, roster
+
+
+def _absent(recording: Recording, roster: Roster, name: str) -> str:
+    """That a roster has no node of a name, and when there was one."""
+    did = [step.epoch for step in recording.steps(name)]
+    if not did:
+        return f"there is no node {name!r} in it{did_you_mean(name, roster.nodes)}"
+    return f"there is no node {name!r} in that epoch; it took part from epoch {min(did)} to {max(did)}: give --epoch"
 
 
 class _Keeping(ViewPresenter):

@@ -23,6 +23,14 @@ def test_a_project_runs_at_once(
     assert json.loads(capsys.readouterr().out)["nodes"]["thermostat"]["metrics"]["error_celsius"] < 1.0
 
 
+def test_a_name_that_is_no_text_in_yaml(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["new", str(tmp_path / "true")]) == 0
+    monkeypatch.syspath_prepend(tmp_path / "true")
+    assert main(["validate", str(tmp_path / "true" / "true.yaml")]) == 0, capsys.readouterr().err
+
+
 def test_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", str(tmp_path / "cold-house"), "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)

@@ -70,6 +70,12 @@ def test_async_operators_are_waited_for(tmp_path: Path) -> None:
             "    class: support.toy_nodes:Summer\n    parameters: {file",
             "probes[0].class: expected a class derived from Probe, but support.toy_nodes:Summer is a Node",
         ),
+        (
+            "hierarchy: toys",
+            "view: {show: 'support.toy_nodes:nothing'}\nhierarchy: toys",
+            "view:",
+            "view.show: there is no 'nothing' in module",
+        ),
     ],
 )
 def test_what_is_wrong_has_its_line(
@@ -89,6 +95,7 @@ def test_what_is_wrong_has_its_line(
     ("setting", "told"),
     [
         ("{foo: 1}", "zenoh: Zenoh: "),
+        (r'"\0"', "zenoh: there is no file "),
         ("{transport: {link: {rx: {max_message_size: abc}}}}", "zenoh.transport.link.rx.max_message_size"),
         ("{transport: {unicast: {lowlatency: true}}}", "zenoh: Zenoh's settings have transport/unicast/lowlatency"),
     ],

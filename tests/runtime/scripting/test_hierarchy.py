@@ -50,6 +50,13 @@ def test_parameters_are_as_a_file_has_them() -> None:
     assert edge.sense.parameters == given
 
 
+def test_what_stands_at_the_top_may_be_tuples() -> None:
+    layout = (("camera", ("errors", "epochs")), ("scene",))
+    made = servo(modules=("somewhere.else",), view={"layout": layout}).deployment()
+    assert "somewhere.else" in made.modules
+    assert made.view.layout == ((("camera",), ("errors", "epochs")), (("scene",),))
+
+
 class Mode(IntEnum):
     """A number with a name."""
 

@@ -9,6 +9,7 @@ from hierax.runtime.commands.main import main
 from hierax.runtime.core.node import Node
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.loading.loader import load_function
+from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import allowance_of, recorded_deployment
 from hierax.runtime.viewing.live import run_seen
@@ -74,6 +75,20 @@ def test_of_a_node_that_is_looked_at_no_other_is_built(tmp_path: Path, monkeypat
     look, _ = recorded_look(recording, "motion", None, allowance_of(recording))
     assert look.step.epoch == 5
     assert set(built) == {"motion"}
+
+
+def test_a_node_that_was_there_for_a_while(tmp_path: Path) -> None:
+    node = "nodes: {other: {class: hierax.nodes.servo:MotionNode}}\n"
+    (tmp_path / "other.yaml").write_text(f"{node}edges: {{camera -> other: {{sense: hierax.nodes.servo:position}}}}\n")
+    path = tmp_path / "run.mcap"
+    changes = ["--at", f"4:attach:{tmp_path / 'other.yaml'}", "--at", "8:detach:other"]
+    assert main(["run", "servo", "--epochs", "12", *changes, "--record", str(path)]) == 0
+    recording = Recording.open(path)
+    look, _ = recorded_look(recording, "other", 5, allowance_of(recording))
+    assert look.step.epoch == 5
+    for epoch in (2, None):
+        with pytest.raises(RecordingError, match="no node 'other' in that epoch; it took part from epoch 4 to 7: give"):
+            recorded_look(recording, "other", epoch, allowance_of(recording))
 
 
 def test_of_a_recording_that_was_cut_is_shown_what_there_is(tmp_path: Path) -> None:
