@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 RECORDING_SUFFIX = ".mcap"
 
-Show = Callable[["ViewPresenter"], None]
+Over = Callable[[], bool]  # whether nobody can see any more
+Show = Callable[["ViewPresenter", Over], None]
 
 Shown = Annotated[
     str | None,
@@ -63,8 +64,8 @@ def view(options: RunOptions, source: Shown = None) -> int:
             if options.save is None:
                 notify(f"seen at {place.name}")
             with nullcontext() if deployment is None else deployment.explaining():
-                show(_presenter(deployment, stream))
-            if place.until_closed is not None:
+                show(_presenter(deployment, stream), place.ended)
+            if place.until_closed is not None and not place.ended():
                 endless = True
                 notify("that is all; Ctrl-C ends the viewer")
                 place.until_closed()
@@ -114,7 +115,7 @@ def _of_deployment(source: str, options: RunOptions) -> Source:
     probes = tuple(replace(each, overwrite=options.overwrite) for each in deployment.probes)
     deployment = replace(deployment, probes=probes)
 
-    def show(presenter: "ViewPresenter") -> None:
+    def show(presenter: "ViewPresenter", over: Over) -> None:
         with redirect_stdout(sys.stderr):
             run_seen(deployment, presenter, epochs=options.epochs, seed=options.seed)
 
@@ -131,7 +132,7 @@ def _of_recording(file: Path, options: RunOptions) -> Source:
 
     first, last = options.first, options.last
 
-    def show(presenter: "ViewPresenter") -> None:
+    def show(presenter: "ViewPresenter", over: Over) -> None:
         if not show_recording(recording, presenter, allowance, first, last):
             why = f": {recording.loss}" if recording.loss else ""
             raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}{why}")
@@ -159,9 +160,9 @@ def _of_launch(options: RunOptions) -> Source:
         )
     allowance = ANYTHING if deployment is None or options.trust else deployment.allowance
 
-    def show(presenter: "ViewPresenter") -> None:
+    def show(presenter: "ViewPresenter", over: Over) -> None:
         with client_at(launch) as client, redirect_stdout(sys.stderr):
-            show_launch(client, presenter, allowance)
+            show_launch(client, presenter, allowance, over)
 
     return deployment, "launch" if launch.running is None else launch.running.hierarchy, show
 

@@ -40,10 +40,12 @@ def stream_of(hierarchy: str) -> Stream:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a stream is seen; `until_closed` returns when the user has seen enough, None if nobody looks."""
+    """Where a stream is seen; `until_closed` returns when the user has seen enough, None if nobody looks; `ended` tells
+    whether what shows it has ended."""
 
     name: str
     until_closed: Callable[[], object] | None
+    ended: Callable[[], bool] = lambda: False
 
 
 @contextmanager
@@ -57,17 +59,25 @@ def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> It
     if port not in (None, web_port):
         raise HieraxError(f"--port {port}: another process listens there")
     options = ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", memory]
-    with _viewer(stream, options, data_port, web_port):
+    with _viewer(stream, options, data_port, web_port) as process:
         address = f"http://{HOST}:{web_port}/?url={quote(_data_address(data_port), safe='')}"
         if opens:
             webbrowser.open(address)
-        yield Place(address, _for_ever)
+        yield _seen(address, process)
 
 
-def _for_ever() -> None:
-    """Wait until Ctrl-C; looked for again and again, as one that another thread takes wakes nobody who only waits."""
-    while True:
-        time.sleep(_LOOK_S)
+def _seen(name: str, process: subprocess.Popen[bytes]) -> Place:
+    """A place that a process shows, until that ends, or Ctrl-C; which is looked for again and again, as one that
+    another thread takes wakes nobody who only waits."""
+
+    def ended() -> bool:
+        return process.poll() is not None
+
+    def until_closed() -> None:
+        while not ended():
+            time.sleep(_LOOK_S)
+
+    return Place(name, until_closed, ended)
 
 
 @contextmanager
@@ -75,7 +85,7 @@ def window(stream: Stream, memory: str) -> Iterator[Place]:
     """Rerun's window, which keeps so much in memory and ends with this process; `HieraxError` if it does not open."""
     options = ["--hide-welcome-screen", "--memory-limit", memory]
     with _viewer(stream, options, _free_port()) as process:
-        yield Place("Rerun's window", process.wait)
+        yield _seen("Rerun's window", process)
 
 
 @contextmanager

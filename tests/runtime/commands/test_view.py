@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.launched import Command, until
+from support.launched import Command, processes_of, until
 from support.pace import paced
 
 from hierax.runtime.commands.main import main
@@ -137,3 +137,18 @@ def test_ctrl_c_ends_looking_at_a_launch_that_runs_on(tmp_path: Path) -> None:
         os.kill(launch.process.pid, signal.SIGINT)
         launch.end()
     assert b"/position_m/world/object" in saved.read_bytes()
+
+
+@needs_rerun
+def test_a_viewer_that_ends_is_not_shown_to_any_longer(tmp_path: Path) -> None:
+    with Command(tmp_path, "launch", paced(tmp_path, "servo"), "--epochs", "10000000") as launch:
+        until(lambda: any(tmp_path.rglob("*.json")), "the launch runs")
+        with Command(tmp_path, "view") as view:
+            view.until_said("seen at http://")
+            until(lambda: processes_of(view.process.pid) != [], "the viewer runs")
+            for pid in processes_of(view.process.pid):
+                os.kill(pid, signal.SIGKILL)
+            view.end()
+            assert view.process.returncode == 1, view.err
+            assert "error: Rerun's viewer has ended: " in view.err
+        assert launch.process.poll() is None, launch.err
