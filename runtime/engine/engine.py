@@ -44,6 +44,14 @@ _PERHAPS_AGAIN = (Verdict.DOUBLE, Verdict.LATE, Verdict.OLD_ROSTER)
 class Engine:
     """One node's part in every epoch; not for two threads at once. Raises `OperatorError` where an operator failed."""
 
+    __slots__ = (  # more than thirty attributes: those of a dict would take 1.6 kB a node, and longer to be found
+        *("name", "wiring", "node", "events", "begun", "inbox", "awaited", "phase", "digest", "time_s"),
+        *("epoch", "attempt", "start", "state", "encoded_start", "encoded"),
+        *("_effects", "_joins", "_fresh", "_prepared", "_held", "_superseded", "_roster", "_world"),
+        *("_heard", "_told", "_heard_before", "_told_before", "_sent", "_after"),
+        *("_belief", "_observations", "_sensed", "_intent", "_ahead", "_vigilance"),
+    )
+
     def __init__(
         self,
         wiring: Wiring,  # the node, bound to its name and neighbours, and its edges

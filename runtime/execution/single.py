@@ -15,9 +15,11 @@ from hierax.runtime.execution.output_folder import digest_log, write_roster
 from hierax.runtime.execution.pacemaker import Breaker, Pacemaker
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.single_nodes import RunRecord, Schedule, SingleNodes, Watch
+from hierax.runtime.host.large_pages import into_large_pages
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.roster import Change
 
+MANY = 100  # nodes, of which an epoch goes through more memory than the processor knows its way about in
 MADE_A_NODE = 100  # so many objects a node are made, and not given back, before cycles among them are looked for
 
 
@@ -75,7 +77,10 @@ class SingleRun:
         """Go on; gives each epoch's number and digest once it is committed, when the next one may have begun.
 
         Raises `HieraxError` if a node failed, or a change is refused."""
-        with _rarely_collecting(len(self._nodes.runners)):
+        count = len(self._nodes.runners)
+        if count > MANY:
+            into_large_pages()
+        with _rarely_collecting(count):
             for _ in self._nodes.turns():
                 while self._told:
                     yield self._told.popleft()

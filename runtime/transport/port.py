@@ -1,7 +1,6 @@
 """What a transport gives a node: a port to its neighbours. And all ports in one process, in an order from a seed."""
 
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from random import Random
 from typing import Generic, NamedTuple, TypeVar
@@ -199,7 +198,7 @@ class MemoryPort(Port):
         self._closed = False
         self._lanes: dict[Lane, list[bytes]] = {}  # mostly of one message: a deque takes a block of sixty-four
         self._filled: DrawnSet[Lane] = DrawnSet(network.random)
-        self._breaks: deque[str] = deque()
+        self._breaks: list[str] = []
 
     def waiting(self, lane: Lane) -> int:
         """How many messages of a lane are not received yet."""
@@ -250,7 +249,7 @@ class MemoryPort(Port):
 
     def receive(self) -> Message | None:
         while self._breaks and not self._closed:
-            self.mended(self._breaks.popleft())
+            self.mended(self._breaks.pop(0))
             self._settle()
         if self._interrupted or self._closed or not self._filled:
             self._interrupted = False
