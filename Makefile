@@ -119,7 +119,8 @@ towers: $(INSTALLED)
 towers-without: $(INSTALLED)
 	$(BIN)/python benchmarks/tower.py $(TOWERS) --least 0 --builder open_loop --person none,knock,random --set frames=1300
 	for without in "" "--without builder" "--without skills" "--without others" "--without spatial"; do \
-		$(BIN)/python benchmarks/tower_errors.py --scenes 0:20 --jobs 2 --least 0 --set frames=1600 $$without || exit 1; done
+		$(BIN)/python benchmarks/tower_errors.py --scenes 0:20 --jobs 2 --keep benchmarks/towers_without.jsonl \
+			--least 0 --set frames=1600 $$without || exit 1; done
 
 # docs/changing.md: 200 changes each of three hierarchies that run; some ten minutes
 changes: $(INSTALLED)

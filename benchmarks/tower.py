@@ -19,23 +19,21 @@ done than --least has it, or a launch has another digest than the run.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import statistics
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import tower_kept
 from tower_scenes import CONTEXTS, RANDOM, episode, given_of, least_moves, scenes_of, settings, towers_of
 
 from hierax.nodes.tower.builder import REACTIVE
 from hierax.nodes.tower.interferences import ACTS
 from hierax.nodes.tower.world import NONE
 
-ROOT = Path(__file__).resolve().parents[1]
-OF_NODES, OF_NO_NODE = ("picking", "tower", "tracking"), {"evaluation", "generator"}  # folders
 EVERY = "every"
 RUN, LAUNCH = "run", "launch"
 HEADS = (("scene", 5), ("done", 5), ("placed, mm", 11), ("moves", 6), ("least", 6), ("acts", 5), ("frames", 7))
@@ -75,55 +73,19 @@ class Row:
         return f"{row} {least_moves(self.set_to):6} {self.acts:5} {rate} {self.set_to['person']}"
 
 
-class Kept:
-    """Rows of a file, one JSON object a line, to which new ones are added; of no file there are none.
-
-    A row belongs to the sources of the nodes that it was made by; those of others are left alone. Raises `SystemExit`
-    where the file has something else in it, or cannot be written."""
+class Kept(tower_kept.Kept[Row]):
+    """Rows by command and by what is set, as they are kept, or made."""
 
     def __init__(self, path: Path | None) -> None:
-        self._path, self._sources = path, _sources()
-        self._rows: dict[str, Row] = {}
-        if path is None:
-            return
-        try:
-            with path.open("a+") as file:
-                file.seek(0)
-                lines = file.readlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise SystemExit(f"--keep {path}: it cannot be read and written: {error}") from error
-        for number, line in enumerate(lines, start=1):
-            try:
-                if not line.endswith("\n"):
-                    raise ValueError("it is cut off")
-                content = json.loads(line)
-                made_by, row = content.pop("sources"), Row(**content)
-            except (ValueError, TypeError, KeyError, AttributeError) as error:
-                what = "expected a row that this program has written"
-                raise SystemExit(f"--keep {path}: line {number}: {what}: {error}") from error
-            if made_by == self._sources:
-                self._rows[_key(row.command, row.set_to)] = row
+        super().__init__(path, Row, lambda row: _key(row.command, row.set_to))
 
-    def row(self, command: str, set_to: dict[str, str]) -> Row:
-        """What a scene came to: as it is kept, or by running it."""
-        key = _key(command, set_to)
-        if key not in self._rows:
-            row = self._rows[key] = _row(command, set_to)
-            if self._path is not None:
-                with self._path.open("a") as file:
-                    file.write(json.dumps({**asdict(row), "sources": self._sources}) + "\n")
-        return self._rows[key]
+    def of(self, command: str, set_to: dict[str, str]) -> Row:
+        """What a scene came to."""
+        return self.row(_key(command, set_to), lambda: _row(command, set_to))
 
 
 def _key(command: str, set_to: dict[str, str]) -> str:
     return json.dumps([command, set_to], sort_keys=True)
-
-
-def _sources() -> str:
-    """A digest of the deployment and of what its nodes are made of: figures of others are not those of these."""
-    nodes = [file for folder in OF_NODES for file in sorted((ROOT / "nodes" / folder).rglob("*.py"))]
-    files = [*(file for file in nodes if not OF_NO_NODE.intersection(file.parts)), ROOT / "deploy" / "tower.yaml"]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -172,7 +134,7 @@ def _cell(scenes: list[dict[str, str]], kept: Kept, options: argparse.Namespace)
     print(*(f"{head:>{width}}" for head, width in (*HEADS, ("epochs/s", 9))), " digest", " person", flush=True)
     rows = []
     with ThreadPoolExecutor(options.jobs) as pool:
-        for row in pool.map(lambda set_to: kept.row(LAUNCH if options.launch else RUN, set_to), scenes):
+        for row in pool.map(lambda set_to: kept.of(LAUNCH if options.launch else RUN, set_to), scenes):
             print(row.told(), flush=True)
             rows.append(row)
     print(_summed_up(rows), flush=True)
@@ -182,7 +144,7 @@ def _cell(scenes: list[dict[str, str]], kept: Kept, options: argparse.Namespace)
 
 
 def _is_launched_alike(run: Row, kept: Kept) -> bool:
-    launched = kept.row(LAUNCH, run.set_to)
+    launched = kept.of(LAUNCH, run.set_to)
     alike = launched.digest == run.digest
     print(launched.told(), "launched,", "equal" if alike else "OTHER DIGEST", flush=True)
     return alike

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 import tower
+import tower_errors
+import tower_kept
 import tower_scenes
 
 Ran = list[tuple[str, dict[str, str]]]
@@ -84,7 +86,7 @@ def test_it_goes_on_where_it_was_ended(ran: Ran, tmp_path: Path, monkeypatch: py
         ("launch", "0"),
     ]
     assert len(keep.read_text().splitlines()) == 5
-    monkeypatch.setattr(tower, "_sources", lambda: "others")
+    monkeypatch.setattr(tower_kept, "sources", lambda: "others")
     assert tower.main(["--scenes", "0:1", "--keep", str(keep)]) == 0
     assert len(ran) == 6  # rows of other sources do not count
 
@@ -127,3 +129,17 @@ def test_options_that_make_no_sense_are_refused(
     with pytest.raises(SystemExit):
         tower.main(words)
     assert said in capsys.readouterr().err
+
+
+def test_errors_are_kept_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    keep = tmp_path / "errors.jsonl"
+    few = ["--set", "cubes=2", "--set", "tower=[1, 2]", "--set", "frames=8", "--person", "none", "--least", "0"]
+    assert tower_errors.main(["--scenes", "0:2", *few, "--keep", str(keep)]) == 0
+    told = capsys.readouterr().out
+    assert "of 2 scenes done" in told
+    assert "of 32" in told.splitlines()[-1]  # both cubes, in all other epochs
+    rows = keep.read_text()
+    assert rows.count("\n") == 2
+    assert tower_errors.main(["--scenes", "0:2", *few, "--keep", str(keep)]) == 0
+    assert capsys.readouterr().out == told
+    assert keep.read_text() == rows
