@@ -113,8 +113,8 @@ towers: $(INSTALLED)
 		$(BIN)/python benchmarks/tower.py $(TOWERS) --launched 5 $$cell || status=1; done; \
 		$(BIN)/python benchmarks/tower_changes.py || status=1; exit $$status
 
-# docs/tower.md: what becomes of towers without looking, and without what comes down, each in as many frames as those with
-# all of it take at most; some three hours
+# docs/tower.md: what becomes of towers without looking, ended after 1300 frames, and without what comes down, in
+# as many frames as those with all of it take at most; some three hours
 .PHONY: towers-without
 towers-without: $(INSTALLED)
 	$(BIN)/python benchmarks/tower.py $(TOWERS) --least 0 --builder open_loop --person none,knock,random --set frames=1300
