@@ -99,6 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, metavar="FILE", help="add rows to it, and take those that are there")
     parser.add_argument("--least", type=int, help="so many scenes have to be done; if not given, all")
     options = parser.parse_args(arguments)
+    if options.jobs < 1:
+        parser.error("--jobs: expected 1 or more")
     scenes, given = scenes_of(options, parser), given_of(options, parser, OWN)
     each = [settings({**given, "person": options.person}, scene, options.without) for scene in scenes]
     kept = Kept(options.keep, Outcome, lambda outcome: _key(outcome.set_to))

@@ -143,3 +143,9 @@ def test_errors_are_kept_too(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert tower_errors.main(["--scenes", "0:2", *few, "--keep", str(keep)]) == 0
     assert capsys.readouterr().out == told
     assert keep.read_text() == rows
+
+
+def test_errors_need_somebody_who_works(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        tower_errors.main(["--jobs", "0"])
+    assert "--jobs: expected 1 or more" in capsys.readouterr().err
