@@ -20,6 +20,7 @@ from hierax.runtime.deployment.tree import read_tree
 
 DEFAULTS = {"cubes": "4", "tower": "[1, 3, 4, 2]", "person": NONE, "pictures": "100000"}
 RANDOM, THREE = "random", 3
+EARLY = "swap"  # takes two cubes that are in no tower yet, so of several it comes first
 _BUILDER, _SKILLS, _SPATIAL = (
     f"edges.{edge}.context" for edge in ("skills -> builder", "spatial -> skills", "arm -> spatial")
 )
@@ -74,7 +75,7 @@ def interferences(person: str, scene: int) -> list[str]:
     if person != RANDOM:
         return person.split("+")
     drawn = np.random.default_rng([scene, THREE]).choice(list(ACTS), THREE, replace=False)
-    return [str(name) for name in drawn]
+    return sorted((str(name) for name in drawn), key=lambda name: name != EARLY)
 
 
 def episode(command: str, set_to: Mapping[str, str]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """What somebody does to towers, by movements of a hand: what each interference asks for, and from stop to stop its way.
 
-One can be done when, by the truth, it means something: a tower that nobody has begun cannot be knocked over."""
+One can be done when, by the truth, it means something, as there are two cubes at least in a tower that is knocked over;
+and it is due from when the tower is as high as is drawn for it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
@@ -49,6 +50,8 @@ class Scene(NamedTuple):
     wanted: int | None  # the one that comes next; None: no tower is to be built any more
     hidden: frozenset[int]  # cubes of which the robot's camera does not see the middle
     rng: np.random.Generator
+    whole: int = 0  # how many cubes the tower that is being built has once it is done
+    drawn: float = 0.0  # between 0 and 1: how high the tower is when something is due
 
     @property
     def idle(self) -> list[int]:
@@ -143,7 +146,7 @@ def _knock(scene: Scene) -> list[Stop] | None:
 
 
 def _push(scene: Scene) -> list[Stop] | None:
-    if not scene.standing or not scene.is_free(*scene.standing):
+    if len(scene.standing) < 2 or not scene.is_free(*scene.standing):
         return None
     return _swept(scene, scene.standing[0], SLOW_M_S)
 
@@ -266,3 +269,14 @@ ACTS: Mapping[str, Act] = {
     "push": _push,  # the tower's base
 }
 """By name, what a person does."""
+
+_HEIGHTS: Mapping[str, tuple[int, int]] = {"knock": (2, 0), "push": (2, 0), "cover": (1, 2), "swap": (1, 3)}
+_NEXT = (1, 1)  # of what is done to the cube that comes next
+"""How many cubes of a tower stand at least when something is due, and how many are still to come at least."""
+
+
+def is_due(name: str, scene: Scene) -> bool:
+    """Whether the tower is as high as was drawn, among the heights at which the interference of a name can be done."""
+    least, to_come = _HEIGHTS.get(name, _NEXT)
+    heights = max(scene.whole - to_come - least, 0) + 1
+    return len(scene.standing) >= least + int(scene.drawn * heights)

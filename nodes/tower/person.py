@@ -1,8 +1,8 @@
 """Somebody who interferes while towers are built: when it begins, where the hand is, and how it is seen.
 
-Each interference (`hierax.nodes.tower.interferences`) begins when it can be done, after a pause that is drawn from the
-seed; then the hand goes from stop to stop. It is a body like others (`hierax.nodes.picking.workcell.Guest`): it pushes,
-and what it grips hangs on it by a bounded force."""
+Each interference (`hierax.nodes.tower.interferences`) begins when it can be done, once the tower is as high as is drawn
+from the seed, after a pause that is drawn, too; then the hand goes from stop to stop. It is a body like others
+(`hierax.nodes.picking.workcell.Guest`): it pushes, and what it grips hangs on it by a bounded force."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from hierax.nodes.picking.panda import gripper_at
 from hierax.nodes.picking.workcell import GUEST_HALF_M, Grip, Guest
-from hierax.nodes.tower.interferences import ACTS, HOME_M, KEEPS_M, Scene, Stop, brought
+from hierax.nodes.tower.interferences import ACTS, HOME_M, KEEPS_M, Scene, Stop, brought, is_due
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, log_so3, make_pose, project, transform
 from hierax.runtime import Value
 
@@ -23,7 +23,7 @@ _TURN_RAD_S = 2.0
 _MISSES_M = 0.02  # what is farther from the palm is not gripped
 _MOVED_M, _BESIDE_M = 0.01, 0.12
 _LEASH_M = 0.04  # a hand that is farther behind is drawn as if it were so far: one that comes free flings nothing away
-_PERSON = 5  # of the numbers that are drawn
+_PERSON, _HEIGHT = 5, 6  # of the numbers that are drawn
 
 SKIN, SLEEVE = (222, 170, 136), (58, 70, 96)
 _FOREARM_M = (0.05, 0.05, 0.11)  # of each of the pieces behind the palm, drawn alone
@@ -137,7 +137,7 @@ def can_begin(belief: Value, scene: Scene, names: Sequence[str]) -> bool:
     return bool(belief["stops"]) or (at < len(names) and ACTS[names[at]](scene) is not None)
 
 
-def scene_of(belief: Value, order: tuple[int, ...], height: int, rng: np.random.Generator) -> Scene:
+def scene_of(belief: Value, order: tuple[int, ...], height: int, rng: np.random.Generator, drawn: float = 0.0) -> Scene:
     """What the person sees of a world's belief, where so many cubes of a tower stand as they should."""
     bodies = {body["id"]: body for body in belief["bodies"]}
     middles = np.stack([body["pose"][:3, 3] for body in belief["bodies"]])
@@ -147,7 +147,8 @@ def scene_of(belief: Value, order: tuple[int, ...], height: int, rng: np.random.
     hidden = frozenset(number for number, shown in zip(bodies, inside, strict=True) if not shown)
     wanted = order[height] if height < len(order) else None
     gripper = gripper_at(belief["joints"])
-    return Scene(bodies, gripper[:3, 3], gripper[:3, 1], belief["raised"], order[:height], wanted, hidden, rng)
+    hand = (gripper[:3, 3], gripper[:3, 1], belief["raised"])
+    return Scene(bodies, *hand, order[:height], wanted, hidden, rng, len(order), drawn)
 
 
 def generator(seed: int, scene: int, number: int) -> np.random.Generator:
@@ -155,12 +156,18 @@ def generator(seed: int, scene: int, number: int) -> np.random.Generator:
     return np.random.default_rng([seed, scene, number, _PERSON])
 
 
+def height_drawn(seed: int, scene: int, number: int, count: int) -> float:
+    """Between 0 and 1, how high the tower is from which on the interference of this number is due: the first of several
+    while it is low, the last one when it is high."""
+    return (number + float(np.random.default_rng([seed, scene, number, _HEIGHT]).uniform())) / count
+
+
 def _begun(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) -> Value:
     """The belief with the next interference, if it begins now."""
     if belief["done"] >= len(names):
         return belief
-    stops = ACTS[names[belief["done"]]](scene)
-    pause_s = belief["pause_s"]
+    name, pause_s = names[belief["done"]], belief["pause_s"]
+    stops = ACTS[name](scene) if is_due(name, scene) else None
     if pause_s is None and stops is not None:
         pause_s = float(scene.rng.uniform(0.0, PAUSE_S))
     elif pause_s is not None:

@@ -11,7 +11,7 @@ from hierax.nodes.picking.panda import gripper_at
 from hierax.nodes.picking.world import PickWorld
 from hierax.nodes.tower.goals import Tower, orders_of, read_towers
 from hierax.nodes.tower.interferences import ACTS, Scene
-from hierax.nodes.tower.person import NOBODY, acted, can_begin, generator, moved, obstacles, scene_of
+from hierax.nodes.tower.person import NOBODY, acted, can_begin, generator, height_drawn, moved, obstacles, scene_of
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 NONE = "none"  # in place of what a person does: nobody is there
@@ -109,8 +109,9 @@ class TowerWorld(PickWorld):
         left = [tower for tower, order in zip(self._towers, built, strict=True) if order is None]
         orders = [order for tower in left for order in orders_of(tower)] or [built[-1] or ()]  # all stand: the last one
         order = max(orders, key=lambda order: _height_of(order, bodies))
-        drawn = generator(seed, self._scene, belief["person"]["done"])
-        return scene_of(belief, order, _height_of(order, bodies), drawn)
+        which = (seed, self._scene, belief["person"]["done"])
+        drawn = height_drawn(*which, len(self._acts) or 1)
+        return scene_of(belief, order, _height_of(order, bodies), generator(*which), drawn)
 
     def _all_built(self, belief: Value) -> bool:
         bodies = {body["id"]: body for body in belief["bodies"]}

@@ -11,8 +11,8 @@ import pytest
 from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M, gripper_down
 from hierax.nodes.picking.world import picture_and_hand_seen
-from hierax.nodes.tower.interferences import ACTS, FAST_M_S, HOME_M, Stop
-from hierax.nodes.tower.person import NOBODY, acted
+from hierax.nodes.tower.interferences import ACTS, FAST_M_S, HOME_M, Stop, is_due
+from hierax.nodes.tower.person import NOBODY, acted, height_drawn
 from hierax.nodes.tower.person import moved as after_frame
 from hierax.nodes.tower.world import TowerWorld
 from hierax.runtime.core.node import Tick
@@ -23,6 +23,8 @@ pytestmark = pytest.mark.slow
 TOWER = [1, 3, 4, 2]
 FRAMES = 450
 REST = (command(HOME_GRIPPER, WIDEST_M, 0.25),)
+SEED, OTHER_SEED = 9, 10  # these draw that something is due as soon as it can be
+LATE_SEED = 1
 
 
 def begun(person: Any) -> tuple[TowerWorld, Any]:
@@ -38,7 +40,7 @@ def begun(person: Any) -> tuple[TowerWorld, Any]:
     }
 
 
-def until_done(world: TowerWorld, belief: Any, seed: int = 1) -> list[Any]:
+def until_done(world: TowerWorld, belief: Any, seed: int = SEED) -> list[Any]:
     """Beliefs, frame by frame, until the person has gone; the arm rests."""
     beliefs = [belief]
     while not beliefs[-1]["person"]["done"]:
@@ -97,14 +99,14 @@ def test_it_happens_as_it_says(name: str, happened: Callable[[dict[int, Any]], b
 
 def test_two_cubes_change_places_while_the_camera_does_not_see_one() -> None:
     world, belief = begun("swap")
-    assert not world.predict((), REST, belief, Tick(seed=1))["person"]["stops"]
+    assert not world.predict((), REST, belief, Tick(seed=SEED))["person"]["stops"]
     near = belief["bodies"][0]["pose"].copy()
     near[:3, :3], near[2, 3] = HOME_GRIPPER[:3, :3], 0.2
     looks = (command(near, WIDEST_M, 0.5),)
     beliefs = [belief]
     while not beliefs[-1]["person"]["done"]:
         assert len(beliefs) < FRAMES, beliefs[-1]["person"]
-        beliefs.append(world.predict((), looks, beliefs[-1], Tick(seed=1)))
+        beliefs.append(world.predict((), looks, beliefs[-1], Tick(seed=SEED)))
     first, last = ({body["id"]: body["pose"][:2, 3] for body in beliefs[at]["bodies"]} for at in (0, -1))
     assert np.linalg.norm(first[2] - last[4]) < 0.01
     assert np.linalg.norm(first[4] - last[2]) < 0.01
@@ -131,12 +133,12 @@ def test_the_cube_in_the_arms_hand_is_taken_out_of_it_and_laid_down() -> None:
     up[2, 3] = 0.25
     for goal, width, frames in ((up, 0.08, 60), (down, 0.08, 60), (down, 0.0, 20)):
         for _ in range(frames):
-            belief = world.predict((), (command(goal, width, 0.25),), belief, Tick(seed=1))
+            belief = world.predict((), (command(goal, width, 0.25),), belief, Tick(seed=SEED))
     assert not belief["person"]["stops"]
     heights = []
     while not belief["person"]["done"]:
         assert len(heights) < FRAMES, belief["person"]
-        belief = world.predict((), (command(up, 0.0, 0.25),), belief, Tick(seed=1))
+        belief = world.predict((), (command(up, 0.0, 0.25),), belief, Tick(seed=SEED))
         heights.append(belief["bodies"][3]["pose"][2, 3])
     assert max(heights) > 0.10
     assert belief["actions"] == 1
@@ -150,9 +152,9 @@ def test_a_hand_draws_back_where_the_gripper_comes_and_tries_again() -> None:
     cube = belief["bodies"][3]["pose"]
     near = gripper_down(cube[:3, 3] + (0.0, 0.0, 0.10))
     while not belief["person"]["stops"]:
-        belief = world.predict((), REST, belief, Tick(seed=1))
+        belief = world.predict((), REST, belief, Tick(seed=SEED))
     for _ in range(90):
-        belief = world.predict((), (command(near, WIDEST_M, 2.0),), belief, Tick(seed=1))
+        belief = world.predict((), (command(near, WIDEST_M, 2.0),), belief, Tick(seed=SEED))
     assert not belief["person"]["stops"]
     assert belief["person"]["done"] == 0
     assert np.linalg.norm(belief["bodies"][3]["pose"][:3, 3] - cube[:3, 3]) < 0.003
@@ -174,8 +176,8 @@ def test_what_is_tried_again_happens_once() -> None:
 def test_a_hand_lets_the_gripper_pass_but_not_for_ever() -> None:
     world, belief = begun("move")
     while belief["person"]["holds"] is None or belief["bodies"][3]["pose"][2, 3] < 0.08:
-        belief = world.predict((), REST, belief, Tick(seed=1))
-    person, scene = belief["person"], world._seen(belief, 1)
+        belief = world.predict((), REST, belief, Tick(seed=SEED))
+    person, scene = belief["person"], world._seen(belief, SEED)
     way = person["stops"][0]["to"] - person["target"][:3, 3]
     way *= 0.1 / np.linalg.norm(way)
 
@@ -199,7 +201,7 @@ def test_a_hand_that_comes_free_flings_nothing() -> None:
     beliefs = [belief]
     while belief["person"]["holds"] is None or belief["bodies"][3]["pose"][2, 3] < 0.08:
         assert len(beliefs) < FRAMES
-        belief = world.predict((), REST, belief, Tick(seed=1))
+        belief = world.predict((), REST, belief, Tick(seed=SEED))
         beliefs.append(belief)
     ways = np.diff([each["person"]["hand"][:3, 3] for each in beliefs if each["obstacles"]], axis=0)
     assert np.linalg.norm(ways[2:8], axis=1) == pytest.approx(np.full(6, FAST_M_S / 20), abs=0.0005)
@@ -214,10 +216,10 @@ def test_a_hand_that_comes_free_flings_nothing() -> None:
 def test_several_happen_one_after_the_other() -> None:
     """A cube that is removed is out of the camera's sight for seconds, and comes back elsewhere."""
     world, belief = begun(["push", "none", "remove"])
-    beliefs = until_done(world, belief)
+    beliefs = until_done(world, belief, OTHER_SEED)
     while beliefs[-1]["person"]["done"] < 2:
         assert len(beliefs) < 2 * FRAMES
-        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=1)))
+        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=OTHER_SEED)))
     assert world.metrics(beliefs[-1])["interferences"] == 2.0
     removed = [each["bodies"][3]["pose"][:3, 3] for each in beliefs]
     assert sum(place[0] > 0.8 for place in removed) > 4.0 * 20
@@ -227,7 +229,7 @@ def test_several_happen_one_after_the_other() -> None:
 def test_the_seed_says_when_and_states_go_over_the_wire() -> None:
     """A world that goes on from what was sent does the same, to the bit; another seed begins at another instant."""
     ends = []
-    for seed in (1, 1, 2):
+    for seed in (SEED, SEED, OTHER_SEED):
         world, belief = begun("move")
         for frame in range(100):
             if frame % 7 == 0:
@@ -238,11 +240,58 @@ def test_the_seed_says_when_and_states_go_over_the_wire() -> None:
     assert ends[0] == ends[1] != ends[2]
 
 
+@pytest.mark.parametrize(
+    ("name", "heights"),
+    [
+        *((name, {2, 3, 4}) for name in ("knock", "push")),
+        *((name, {1, 2, 3}) for name in ("move", "take", "help", "remove")),
+        ("cover", {1, 2}),
+        ("swap", {1}),
+    ],
+)
+def test_each_height_at_which_something_can_be_done_is_drawn_as_often(name: str, heights: set[int]) -> None:
+    world, belief = begun(name)
+    scene = world._seen(belief, SEED)
+    low, high = min(heights), max(heights)
+
+    def due(drawn: float) -> int:
+        """From how many cubes on it is due."""
+        standing = [scene._replace(standing=tuple(TOWER[:count]), drawn=drawn) for count in range(len(TOWER) + 1)]
+        return [is_due(name, each) for each in standing].index(True)
+
+    assert [due(drawn) for drawn in (0.0, 0.999)] == [low, high]
+    found = [due((at + 0.5) / 60) for at in range(60)]
+    assert {height: found.count(height) for height in found} == dict.fromkeys(heights, 60 // len(heights))
+
+
+def test_a_short_tower_is_knocked_over_as_soon_as_it_stands() -> None:
+    world, belief = begun("knock")
+    scene = world._seen(belief, SEED)._replace(whole=2, drawn=0.999)
+    assert is_due("knock", scene._replace(standing=(1, 3)))
+    assert not is_due("knock", scene._replace(standing=(1,)))
+
+
+def test_what_is_due_later_waits_until_the_tower_is_so_high() -> None:
+    """With the third cube on the first, the fourth is moved at once; by another seed the tower has to be higher."""
+    assert height_drawn(LATE_SEED, 0, 0, 1) > 2 / 3 > height_drawn(SEED, 0, 0, 1)
+    for seed, begins in ((SEED, True), (LATE_SEED, False)):
+        world, belief = begun("move")
+        for _ in range(60):
+            belief = world.predict((), REST, belief, Tick(seed=seed))
+        assert bool(belief["person"]["stops"]) == begins
+
+
+def test_of_several_the_first_is_due_while_the_tower_is_low_and_the_last_when_it_is_high() -> None:
+    for seed in range(20):
+        drawn = [height_drawn(seed, 0, number, 3) for number in range(3)]
+        assert [int(3 * each) for each in drawn] == [0, 1, 2]
+
+
 def test_the_camera_sees_a_hand() -> None:
     world, belief = begun("cover")
     pictures = []
     for _ in range(120):
-        belief = world.predict((), REST, belief, Tick(seed=1))
+        belief = world.predict((), REST, belief, Tick(seed=SEED))
         if belief["person"]["holds"] is not None:
             pictures = [
                 picture_and_hand_seen({**belief, "obstacles": shown, "noise": 0.0})[0]["image"].astype(int)
@@ -255,11 +304,11 @@ def test_the_camera_sees_a_hand() -> None:
 
 def test_nothing_is_done_to_what_is_not_there() -> None:
     """Of no tower two cubes stand, and the arm holds nothing."""
-    for name in ("knock", "take"):
+    for name in ("knock", "push", "take"):
         world = TowerWorld(TOWER, name, cubes=4)
         belief = world.initial_belief()
         for _ in range(70):
-            belief = world.predict((), REST, belief, Tick(seed=1))
+            belief = world.predict((), REST, belief, Tick(seed=SEED))
         assert world.metrics(belief)["interferences"] == 0.0, name
         assert belief["obstacles"] == ()
 
@@ -274,7 +323,7 @@ def test_a_hand_that_finds_nothing_to_grip_has_not_interfered() -> None:
     """The cube is taken away while the hand comes."""
     world, belief = begun("move")
     while not belief["person"]["stops"]:
-        belief = world.predict((), REST, belief, Tick(seed=1))
+        belief = world.predict((), REST, belief, Tick(seed=SEED))
     gone = belief["bodies"][3]["pose"].copy()
     gone[:2, 3] = (0.45, 0.35)
     bodies = tuple({**body, "pose": gone} if body["id"] == 4 else body for body in belief["bodies"])
@@ -292,7 +341,7 @@ def test_a_removed_cube_comes_back_to_where_there_is_room_by_then() -> None:
     free = until_done(world, belief)[-1]["bodies"][3]["pose"]
     beliefs = [belief]
     while beliefs[-1]["bodies"][3]["pose"][0, 3] < 0.8:
-        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=1)))
+        beliefs.append(world.predict((), REST, beliefs[-1], Tick(seed=SEED)))
     there = free.copy()
     there[2, 3] = beliefs[-1]["bodies"][1]["side_m"] / 2
     placed = tuple({**body, "pose": there} if body["id"] == 2 else body for body in beliefs[-1]["bodies"])
