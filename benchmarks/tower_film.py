@@ -1,8 +1,8 @@
 """A moving picture of a recorded run of the tower deployment: what is seen from beside and by the camera, and why.
 
-    hierax run tower --set person=take --record taken.mcap
-    python benchmarks/tower_film.py taken.mcap tower.webp               # one epoch of ten
-    python benchmarks/tower_film.py taken.mcap sheet.jpg --every 120    # all on one sheet
+    hierax run tower --set person=knock --record tower.mcap
+    python benchmarks/tower_film.py tower.mcap tower.webp               # one epoch of ten
+    python benchmarks/tower_film.py tower.mcap sheet.jpg --every 120    # all on one sheet
 
 Everything in it is what the nodes show to a viewer (`hierax view`). The recording needs the world's pictures.
 """
