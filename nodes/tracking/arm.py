@@ -15,6 +15,7 @@ from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.drift import joint_of, lasting
+from hierax.nodes.tracking.estimation.ground import TableSeen, covered_by, gray_of
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -59,6 +60,7 @@ class ArmNode(Node):
             node may take part, or its predictions count, from a later epoch on only.
         camera: of a camera there might have been, world_from_camera, from which the first poses are seen; None: they
             are seen from the first image's.
+        table_texture: whether the table's texture tells how a camera has moved that is not exactly where it is said to be.
 
     Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
     """
@@ -82,6 +84,7 @@ class ArmNode(Node):
         model_tolerance_mm: float | None = None,
         waits: int = 0,
         camera: Floats | None = None,
+        table_texture: bool = True,
     ) -> None:
         check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
         check_positive(camera_m=camera_m, camera_rad=camera_rad)
@@ -106,6 +109,7 @@ class ArmNode(Node):
         self._prior = prior
         self._waits = waits
         self._first_camera = camera
+        self._texture = table_texture and prior
 
     def initial_belief(self) -> schema.ArmBelief:
         """The objects where they are said to be; no camera, no edges yet."""
@@ -146,15 +150,17 @@ class ArmNode(Node):
         )
         sweeps = _moved(belief["sweeps"], moved)
         present = tuple(item for item in objects if sweeps is None or not _is_missing(item))
+        table = self._table_seen(seen, camera, belief) if said is not None and not still else None
         shown = sweeps is not None or any(len(item["controls"]["points"]) for item in present)
         image = smoothed(seen["image"]) if shown else _NO_IMAGE
         reports = None if still else self._reports
-        found = self._associated(present, image, seen["intrinsics"], belief["together"], reports)
+        found = self._associated(present, image, seen["intrinsics"], belief["together"], reports, table)
         corrected, shift = self._corrected(present, found), np.eye(4) if found is None else found.shift
         after = {item["id"]: item for item in corrected}
         guessed = {item["id"]: _guessed(item, shift) for item in objects}
         objects = tuple(after.get(item["id"]) or {**item, "others": guessed[item["id"]]} for item in objects)
         camera = camera @ invert(shift)
+        texture = _texture_after(belief, table, found, camera, still)
         sweeps = _moved(sweeps, shift)
         if sweeps is not None:
             objects = self._searched(image, objects, guessed, sweeps, seen["intrinsics"], camera[2])
@@ -169,6 +175,7 @@ class ArmNode(Node):
             "frame": seen["frame"],
             "objects": objects,
             "sweeps": None,
+            **texture,
         }
 
     def predict(
@@ -193,7 +200,11 @@ class ArmNode(Node):
             imagined(item, expected[item["id"]], camera) if item["id"] in expected else _shapeless(item)
             for item in belief["objects"]
         )
-        return {**belief, "objects": objects, "sweeps": _moved(context[0]["sweeps"], invert(camera))}
+        after: schema.ArmBelief = {**belief, "objects": objects, "sweeps": _moved(context[0]["sweeps"], invert(camera))}
+        if not self._texture or context[0]["sweeps"] is None:
+            return after
+        ground = belief["texture"]["ground"] if "texture" in belief else None
+        return {**after, "texture": {"covered": covered_by(context[0]), "ground": ground}}
 
     def metrics(self, belief: schema.ArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
@@ -210,6 +221,7 @@ class ArmNode(Node):
         intrinsics: Array,
         together: schema.Together | None,
         reports: Floats | None,
+        table: TableSeen | None,
     ) -> Associated | None:
         """What the image says; None where nothing of any object is expected in it."""
         if not any(len(item["controls"]["points"]) for item in objects):
@@ -221,7 +233,16 @@ class ArmNode(Node):
         falling = np.stack([held(self._options.motion, item["support"], const.FALLING, 1.0) for item in known])
         options = self._options._replace(motion=motion, falling=falling)
         joint = None if reports is None else joint_of(known, together, reports, self._sizes, self._lasts)
-        return associate(image, known, joint, np.asarray(intrinsics), options)
+        if joint is None or table is None:
+            return associate(image, known, joint, np.asarray(intrinsics), options)
+        told = table.told(joint)
+        return associate(image, known, told.joint, np.asarray(intrinsics), options, told.mean, told.older)
+
+    def _table_seen(self, seen: schema.Picture, camera: Floats, belief: schema.ArmBelief) -> TableSeen | None:
+        """What may be seen of the table's texture; None where no table is expected."""
+        if "texture" not in belief:
+            return None
+        return TableSeen(gray_of(seen["image"]), camera, np.asarray(seen["intrinsics"]), belief["texture"])
 
     def _left_of(self, drift: Floats) -> Floats:
         """What is left of a drift in the next image."""
@@ -356,6 +377,17 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         "failed_searches": 0,
         "guesses": sighting.guesses,
     }
+
+
+def _texture_after(
+    belief: schema.ArmBelief, table: TableSeen | None, found: Associated | None, camera: Floats, still: bool
+) -> schema.MayKnowTexture:
+    """What is known of the table's texture after an image; camera: as it is corrected."""
+    if "texture" not in belief:
+        return {}
+    if table is None or found is None:
+        return {"texture": {**belief["texture"], "ground": None if still else belief["texture"]["ground"]}}
+    return {"texture": table.after(camera, found.older)}
 
 
 def _moved(sweeps: tuple[schema.Sweep, ...] | None, by: Floats) -> tuple[schema.Sweep, ...] | None:

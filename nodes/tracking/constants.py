@@ -21,6 +21,14 @@ VELOCITY_GAIN = 0.4  # how far a velocity follows the last observed one
 PHYSICS_SIGMAS = 3.0  # standard deviations of a pose by which physics may move it from where it goes by itself
 BODY_FRICTION = 0.5  # Coulomb's coefficient of tracked bodies
 
+# The table's texture. Points of an image at most, and at least; how weak a corner may be beside the strongest one; in
+# camera heights, how far away.
+GROUND_POINTS, GROUND_LEAST, GROUND_CORNER, GROUND_FAR = 64, 12, 0.01, 8.0
+GROUND_REACH_PX = 8.0
+GROUND_SPREADS = 4.0  # standard deviations where Tukey's weight ends
+GROUND_ALIKE = 30.0  # images that say the same, as the older one's noise is in all of them
+GROUND_KEPT = 0.5  # the share of points that are found yet; with fewer another image is the older one from then on
+
 # Control points. Of an object of which fewer should be seen an image says nothing: of ten the share that is found errs
 # by 0.15, a standard deviation of the binomial, about as far as scores that decide are apart.
 LEAST_SHOWN = 10.0

@@ -236,11 +236,31 @@ class Together(TypedDict):
 
     ids: Annotated[NDArray[np.int64], Is(("m",), "int64", "objects")]
     # of the camera's drift, a twist in its frame, and of the pose of each of these objects in the world, a twist in its
-    # frame, and its size, a share of that
-    covariance: Annotated[Floats, Is(("n", "n"), "float64", "m², m rad, rad², …, n = 6 + 7 m")]
+    # frame, and its size, a share of that; then of the camera in the image of `Ground`, where there is one, likewise
+    covariance: Annotated[Floats, Is(("n", "n"), "float64", "m², m rad, rad², …, n = 6 + 7 m, or 12 + 7 m")]
 
 
-class ArmBelief(_Viewing):
+class Ground(TypedDict):
+    """Texture of the table in an older image, see `hierax.nodes.tracking.estimation.ground`."""
+
+    camera: CameraPose  # of that image
+    points: Annotated[NDArray[np.int64], Is(("n", 2), "int64", "pixels of that image")]
+    patches: Annotated[NDArray[np.uint8], Is(("n", "s", "s"), "uint8", "grey levels about them")]
+
+
+class Texture(TypedDict):
+    """What is known of the table's texture, and where bodies will be before it."""
+
+    # 1 where bodies are expected in the next image, and next to them
+    covered: Annotated[NDArray[np.uint8], Is(("h", "w"), "uint8", "cells of 8 pixels")]
+    ground: Ground | None  # None where there is none, and while the camera stands still
+
+
+class MayKnowTexture(TypedDict, total=False):
+    texture: Texture  # where a table is expected
+
+
+class ArmBelief(_Viewing, MayKnowTexture):
     """What the arm node believes; of camera and image nothing before the first one."""
 
     reported: CameraPose | None  # the same as the world gave it

@@ -77,7 +77,7 @@ def together_of(objects: Sequence[TrackedObject], kept: Sequence[int], joint: Fl
     `hierax.nodes.tracking.estimation.fusion.Fused` has it."""
     if joint is None:
         return None
-    rows = _rows(kept)
+    rows = np.concatenate((_rows(kept), np.arange(6 + 7 * len(objects), len(joint))))
     ids = np.array([objects[at]["id"] for at in kept], dtype=np.int64)
     return {"ids": ids, "covariance": joint[np.ix_(rows, rows)]}
 
@@ -88,8 +88,10 @@ def _rows(places: Sequence[int]) -> Indices:
 
 
 def _continued(objects: Sequence[TrackedObject], together: Together | None, sizes: float) -> Floats:
-    """(6 + 7 m, 6 + 7 m) covariance of the drift and of the objects; what nothing was known of goes with nothing."""
-    size = 6 + 7 * len(objects)
+    """(6 + 7 m, 6 + 7 m) covariance of the drift and of the objects, and of the camera in an older image, where there
+    is one; what nothing was known of goes with nothing."""
+    older = 0 if together is None else len(together["covariance"]) - 6 - 7 * len(together["ids"])
+    size = 6 + 7 * len(objects) + older
     whole = np.zeros((size, size))
     for at, item in enumerate(objects):
         view = _pose(at)
@@ -99,7 +101,9 @@ def _continued(objects: Sequence[TrackedObject], together: Together | None, size
         return whole
     places = {number: place for place, number in enumerate(together["ids"].tolist())}
     known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
-    here, there = _rows(known), _rows([places[objects[at]["id"]] for at in known])
+    here = np.concatenate((_rows(known), np.arange(size - older, size)))
+    there = _rows([places[objects[at]["id"]] for at in known])
+    there = np.concatenate((there, np.arange(older) + len(together["covariance"]) - older))
     whole[np.ix_(here, here)] = together["covariance"][np.ix_(there, there)]
     return whole
 

@@ -20,6 +20,11 @@ class Rows:
     drift, error = slice(6), slice(6, 12)
 
     @staticmethod
+    def bodies(count: int) -> slice:
+        """Of all objects; what comes after them is the error of the camera in an older image, where there is one."""
+        return slice(12, 12 + 7 * count)
+
+    @staticmethod
     def body(at: int) -> slice:
         """Of an object."""
         return slice(12 + 7 * at, 19 + 7 * at)
@@ -41,12 +46,20 @@ class Prior(NamedTuple):
     # each object's pose in the world before it moves, a twist in its frame, and of its size, a share of that; None: the
     # camera's pose is exact
     joint: Floats | None
+    # what is expected of all of that, where the table's texture has told something of it; None: nothing
+    mean: Floats | None = None
+    older: slice | None = None  # which rows are about the camera's error in an older image from the next image on
 
     @property
     def camera(self) -> Floats | None:
         """(6, 6) inverse covariance of the camera's error, twist in its frame, if objects are where they are expected;
         None where its pose is exact."""
-        return None if self.joint is None else _information(self.joint)
+        return None if self.joint is None else _information(self.joint, len(self.covariance))
+
+    @property
+    def shift(self) -> Floats:
+        """(6,) the camera's error as it is expected, twist in its frame."""
+        return np.zeros(6) if self.mean is None else self.mean[Rows.error]
 
     def spread(self) -> Floats:
         """(m, 6, 6) covariance of the predicted poses."""
@@ -63,7 +76,9 @@ class Fused(NamedTuple):
     trend: Floats  # (m, 6)
     drift: Floats  # (6,) twist of the camera's frame: what is left of its error in the next image
     sizes: Floats  # (m,) by which share each object is larger than was expected
-    joint: Floats | None  # (6 + 7 m, 6 + 7 m) covariance of drift, poses in the world and sizes; None: a known camera
+    # (6 + 7 m, 6 + 7 m) covariance of drift, poses in the world and sizes, and then of `Prior.older`; None: a known camera
+    joint: Floats | None
+    older: Floats  # (6,) what is known of `Prior.older` beside what was expected of it
 
 
 class _Solved(NamedTuple):
@@ -74,6 +89,7 @@ class _Solved(NamedTuple):
     drift: Floats  # (6,)
     sizes: Floats  # (m,)
     spread: Floats  # covariance as `Prior.joint` has it, after the image; of nothing where that is None
+    older: Floats  # (6,)
 
 
 def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = None) -> Fused:
@@ -97,7 +113,8 @@ def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = Non
     motion_scale = np.where(surprised, 1.0, calmer)
     trend = np.where(surprised[:, None], 0.0, trend)
     covariance, joint = _spread(aligned, prior, found)
-    return Fused(found.shift, found.twists, covariance, motion_scale, trend, found.drift, found.sizes, joint)
+    solved_for = (found.drift, found.sizes, joint, found.older)
+    return Fused(found.shift, found.twists, covariance, motion_scale, trend, *solved_for)
 
 
 def _solved(aligned: Aligned, prior: Prior) -> _Solved:
@@ -109,9 +126,9 @@ def _solved(aligned: Aligned, prior: Prior) -> _Solved:
         said = (blocks @ aligned.own[..., None])[..., 0] - aligned.slopes[:, 6:]
         twists = solved(blocks + inverse(prior.spread()), said[..., None])[..., 0]
         nothing = np.zeros((Rows.error.stop, Rows.error.stop))
-        return _Solved(twists, np.zeros(6), np.zeros(6), np.zeros(count), nothing)
+        return _Solved(twists, np.zeros(6), np.zeros(6), np.zeros(count), nothing, np.zeros(6))
     whole = inverse(_with_motion(prior))
-    right = np.zeros(len(whole))
+    right = np.zeros(len(whole)) if prior.mean is None else whole @ prior.mean
     whole[Rows.error, Rows.error] += aligned.blocks[:, :6, :6].sum(axis=0)
     for at in range(count):
         view, seen = Rows.body(at), _as_seen(aligned.poses[at])
@@ -124,8 +141,9 @@ def _solved(aligned: Aligned, prior: Prior) -> _Solved:
         right[Rows.error] += said[:6]
     spread = inverse(whole)
     means = spread @ right
-    bodies = means[Rows.error.stop :].reshape(count, 7)
-    return _Solved(bodies[:, :6], means[Rows.error], means[Rows.drift], bodies[:, 6], spread)
+    bodies = means[Rows.bodies(count)].reshape(count, 7)
+    older = np.zeros(6) if prior.older is None else means[prior.older]
+    return _Solved(bodies[:, :6], means[Rows.error], means[Rows.drift], bodies[:, 6], spread, older)
 
 
 def _as_seen(pose: Floats) -> Floats:
@@ -154,13 +172,15 @@ def _spread(aligned: Aligned, prior: Prior, found: _Solved) -> tuple[Floats, Flo
     for at, turned in enumerate(carried):
         both = turned @ found.spread[Rows.error, Rows.pose(at)]
         covariance[at] = turned @ camera @ turned.T + both + both.T + found.spread[Rows.pose(at), Rows.pose(at)]
-    kept = np.r_[Rows.drift, Rows.error.stop : len(found.spread)]
+    older = np.zeros(0, dtype=np.int64) if prior.older is None else np.r_[prior.older]
+    kept = np.concatenate((np.r_[Rows.drift, Rows.bodies(len(carried))], older))
     return 0.5 * (covariance + covariance.transpose(0, 2, 1)), found.spread[np.ix_(kept, kept)]
 
 
-def _information(joint: Floats) -> Floats:
+def _information(joint: Floats, count: int) -> Floats:
     """(6, 6) inverse covariance of the camera's error, by `Prior.joint`, where the objects are known."""
-    return inverse(joint[Rows.error.start :, Rows.error.start :])[:6, :6]
+    rows = slice(Rows.error.start, Rows.bodies(count).stop)
+    return inverse(joint[rows, rows])[:6, :6]
 
 
 def _off(aligned: Aligned, prior: Prior, found: _Solved) -> Floats:
@@ -173,7 +193,7 @@ def _off(aligned: Aligned, prior: Prior, found: _Solved) -> Floats:
     right = (information @ aligned.own[..., None])[..., 0] - aligned.slopes[:, 6:]
     right -= aligned.blocks[:, 6:, :6] @ moved
     alone = solved(information, right[..., None])
-    vague = np.zeros((6, 6)) if prior.joint is None else inverse(_information(found.spread))
+    vague = np.zeros((6, 6)) if prior.joint is None else inverse(_information(found.spread, len(spread)))
     carried = adjoints(invert_many(aligned.poses))
     both = spread + inverse(information) + carried @ vague @ carried.transpose(0, 2, 1)
     return np.asarray(solved(np.asarray(np.linalg.cholesky(both)), alone)[..., 0])

@@ -67,18 +67,24 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     return Task(image, controls, memory, intrinsics, start, near, prior)
 
 
-def prior_of(objects: Sequence[TrackedObject], motion: Floats, joint: Floats | None) -> Prior:
+def prior_of(
+    objects: Sequence[TrackedObject],
+    motion: Floats,
+    joint: Floats | None,
+    mean: Floats | None = None,
+    older: slice | None = None,
+) -> Prior:
     """What is known before an image; motion: (6, 6) or (m, 6, 6) covariance of an object's deviation from its
-    prediction within a frame, when it is pushed; joint: as `Prior` has it."""
+    prediction within a frame, when it is pushed; joint, mean and older: as `Prior` has them."""
     covariance = np.stack([item["covariance"] for item in objects])
     motion_scale = np.array([_with_motion(item) for item in objects])
     trend = np.array([item["trend"] for item in objects])
-    return Prior(covariance, motion, motion_scale, trend, joint)
+    return Prior(covariance, motion, motion_scale, trend, joint, mean, older)
 
 
 def explained(task: Task) -> Explained | None:
     """The poses of all objects, and the camera's error; None where no control point is in the image."""
-    return _from(task, np.eye(4))
+    return _from(task, exp_many(task.prior.shift[None])[0])
 
 
 def explained_again(task: Task, before: Explained, doubtful: Sequence[int]) -> Explained | None:
@@ -87,8 +93,8 @@ def explained_again(task: Task, before: Explained, doubtful: Sequence[int]) -> E
     no better."""
     if task.prior.joint is None or not doubtful:
         return None
-    shift = exp_many(before.fused.shift[None])[0]
-    jumps = flat((shift @ task.start.poses)[doubtful]) - flat(task.start.poses[doubtful])
+    begun, shift = exp_many(np.stack((task.prior.shift, before.fused.shift)))
+    jumps = flat((shift @ task.start.poses)[doubtful]) - flat((begun @ task.start.poses)[doubtful])
     if np.abs(jumps * task.intrinsics[:2]).max() < const.JUMP_PX:
         return None
     again = _from(task, shift)

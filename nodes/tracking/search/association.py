@@ -76,10 +76,17 @@ class Associated(NamedTuple):
     drift: Floats  # (6,) what is left of that in the next image, twist in its frame
     estimates: list[Estimate]  # of each object
     together: Together | None  # how errors go together, in the next image
+    older: Floats  # (6,) error of the camera in an older image beside what was expected, twist in its frame
 
 
 def associate(
-    image: Image, objects: Sequence[TrackedObject], joint: Floats | None, intrinsics: Array, options: Options
+    image: Image,
+    objects: Sequence[TrackedObject],
+    joint: Floats | None,
+    intrinsics: Array,
+    options: Options,
+    mean: Floats | None = None,
+    older: slice | None = None,
 ) -> Associated | None:
     """The poses that explain an image.
 
@@ -88,13 +95,13 @@ def associate(
         objects: each with "pose" (predicted camera_from_object), "before" (where it would be if it
             had not moved), "covariance", "motion_scale", "probation", "controls", "slots", "failed_searches" and "id".
         joint: covariance of the camera's error and of the objects', as `hierax.nodes.tracking.estimation.fusion.Prior`
-            has it; None where the camera's pose is exact.
+            has it; None where the camera's pose is exact; mean, older: likewise.
         intrinsics: (4,) fx, fy, cx, cy in pixels; options: how far things go.
 
     Returns:
         None where nothing is expected in the image.
     """
-    prior = prior_of(objects, options.motion, joint)
+    prior = prior_of(objects, options.motion, joint, mean, older)
     task = task_of(image, objects, prior, intrinsics)
     best = explained(task)
     if best is None:
@@ -122,7 +129,8 @@ def associate(
     counts = [max(0, item["failed_searches"] + (1 if at in doubtful else -1)) for at, item in enumerate(objects)]
     failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(counts)]
     estimates = _estimates(found, learned, failed_searches)
-    return Associated(shift, best.fused.drift, estimates, together_of(objects, kept, best.fused.joint))
+    together = together_of(objects, kept, best.fused.joint)
+    return Associated(shift, best.fused.drift, estimates, together, best.fused.older)
 
 
 def _found(explained: Explained, predicted: Floats) -> Found:
