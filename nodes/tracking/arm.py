@@ -14,7 +14,7 @@ from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.certainty import right
-from hierax.nodes.tracking.estimation.drift import joint_of, lasting
+from hierax.nodes.tracking.estimation.drift import joint_of, lasting, sizes_of
 from hierax.nodes.tracking.estimation.ground import TableSeen, covered_by, gray_of
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
@@ -236,7 +236,8 @@ class ArmNode(Node):
         if joint is None or table is None:
             return associate(image, known, joint, np.asarray(intrinsics), options)
         told = table.told(joint)
-        return associate(image, known, told.joint, np.asarray(intrinsics), options, told.mean, told.older)
+        sizes = sizes_of(known, together, self._sizes)
+        return associate(image, known, told.joint, np.asarray(intrinsics), options, told.mean, told.older, sizes)
 
     def _table_seen(self, seen: schema.Picture, camera: Floats, belief: schema.ArmBelief) -> TableSeen | None:
         """What may be seen of the table's texture; None where no table is expected."""

@@ -27,6 +27,7 @@ GROUND_POINTS, GROUND_LEAST, GROUND_CORNER, GROUND_FAR = 64, 12, 0.01, 8.0
 GROUND_REACH_PX = 8.0
 GROUND_SPREADS = 4.0  # standard deviations where Tukey's weight ends
 GROUND_ALIKE = 30.0  # images that say the same, as the older one's noise is in all of them
+GROUND_FADES = 0.0003
 GROUND_KEPT = 0.5  # the share of points that are found yet; with fewer another image is the older one from then on
 
 # Control points. Of an object of which fewer should be seen an image says nothing: of ten the share that is found errs
@@ -94,6 +95,7 @@ RESTING_MARGIN = 0.1  # by so large a share of its control points another explan
 # How much a camera's drift changes from image to image, in shares of how far reports err; and, as a share, how large
 # what has an exact model is beside it: blur, light and worn edges make it seem smaller.
 DRIFTS, SIZES = 0.6, 0.007
+SIZES_ALIKE = 0.25  # objects whose sizes are supposed to have been seen before, as far from their models as expected
 # Of what its motion may change in a frame, what stands rises by so much, and tilts; what falls over rises.
 UPWARDS, TILTING, FALLING = 0.1, 0.15, 0.3
 RESTING_M, RESTING_RAD = 0.0005, 0.004  # how certain the height and the tilt of a body at rest are

@@ -234,6 +234,8 @@ class _Viewing(TypedDict):
 class Together(TypedDict):
     """How errors that last go together."""
 
+    alike: float  # how far sizes are from their models', in shares of what is expected of each
+
     ids: Annotated[NDArray[np.int64], Is(("m",), "int64", "objects")]
     # of the camera's drift, a twist in its frame, and of the pose of each of these objects in the world, a twist in its
     # frame, and its size, a share of that; then of the camera in the image of `Ground`, where there is one, likewise

@@ -16,6 +16,7 @@ Where it stands tells both, as far as it is known where the camera is."""
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,14 +73,42 @@ def joint_of(
     return np.asarray(joint)
 
 
-def together_of(objects: Sequence[TrackedObject], kept: Sequence[int], joint: Floats | None) -> Together | None:
+class Sizes(NamedTuple):
+    """What objects' sizes are beside their models', as all of them together tell."""
+
+    told: Floats  # (m, 2) as `hierax.nodes.tracking.estimation.fusion.Prior.sizes`
+    alike: float  # by how much less they differ than expected, as a share
+
+
+def sizes_of(objects: Sequence[TrackedObject], together: Together | None, sizes: float = const.SIZES) -> Sizes:
+    """How far sizes are from models' is learned from all objects: where those that stand on one table seem as large beside
+    one another as their models are, models are exact, and tell how far away all of it is. One step of expectation
+    maximisation (Dempster, Laird and Rubin, 1977) an image; sizes: as `joint_of` has it."""
+    told = np.zeros((len(objects), 2))
+    if together is None:
+        return Sizes(told, 1.0)
+    places = {number: place for place, number in enumerate(together["ids"].tolist())}
+    known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
+    expected = np.array([_size_variance(objects[at], sizes) for at in known])
+    off = np.array([objects[at]["slots"]["size"] - 1.0 for at in known])
+    rows = [12 + 7 * places[objects[at]["id"]] for at in known]
+    squares = (off * off + together["covariance"][rows, rows]) / expected
+    alike = math.sqrt((const.SIZES_ALIKE + squares.sum()) / (const.SIZES_ALIKE + len(known)))
+    told[known, 0] = (alike**-2 - together["alike"] ** -2) / expected
+    told[known, 1] = -off / (1.0 + off)
+    return Sizes(told, alike)
+
+
+def together_of(
+    objects: Sequence[TrackedObject], kept: Sequence[int], joint: Floats | None, alike: float = 1.0
+) -> Together | None:
     """What is known after an image; kept: which objects are in the end where that has them, joint: as
-    `hierax.nodes.tracking.estimation.fusion.Fused` has it."""
+    `hierax.nodes.tracking.estimation.fusion.Fused` has it; alike: of `sizes_of`."""
     if joint is None:
         return None
     rows = np.concatenate((_rows(kept), np.arange(6 + 7 * len(objects), len(joint))))
     ids = np.array([objects[at]["id"] for at in kept], dtype=np.int64)
-    return {"ids": ids, "covariance": joint[np.ix_(rows, rows)]}
+    return {"ids": ids, "covariance": joint[np.ix_(rows, rows)], "alike": alike}
 
 
 def _rows(places: Sequence[int]) -> Indices:
@@ -93,10 +122,11 @@ def _continued(objects: Sequence[TrackedObject], together: Together | None, size
     older = 0 if together is None else len(together["covariance"]) - 6 - 7 * len(together["ids"])
     size = 6 + 7 * len(objects) + older
     whole = np.zeros((size, size))
+    alike = 1.0 if together is None else together["alike"]
     for at, item in enumerate(objects):
         view = _pose(at)
         whole[view, view] = item["covariance"]
-        whole[view.stop, view.stop] = _size_variance(item, sizes)
+        whole[view.stop, view.stop] = alike**2 * _size_variance(item, sizes)
     if together is None:
         return whole
     places = {number: place for place, number in enumerate(together["ids"].tolist())}

@@ -49,6 +49,8 @@ class Prior(NamedTuple):
     # what is expected of all of that, where the table's texture has told something of it; None: nothing
     mean: Floats | None = None
     older: slice | None = None  # which rows are about the camera's error in an older image from the next image on
+    # (m, 2) how much better than `joint` has it sizes are known beforehand, as inverse variance, and what they are
+    sizes: Floats | None = None
 
     @property
     def camera(self) -> Floats | None:
@@ -129,6 +131,10 @@ def _solved(aligned: Aligned, prior: Prior) -> _Solved:
         return _Solved(twists, np.zeros(6), np.zeros(6), np.zeros(count), nothing, np.zeros(6))
     whole = inverse(_with_motion(prior))
     right = np.zeros(len(whole)) if prior.mean is None else whole @ prior.mean
+    if prior.sizes is not None:
+        rows = 18 + 7 * np.arange(count)
+        whole[rows, rows] += prior.sizes[:, 0]
+        right[rows] += prior.sizes[:, 0] * prior.sizes[:, 1]
     whole[Rows.error, Rows.error] += aligned.blocks[:, :6, :6].sum(axis=0)
     for at in range(count):
         view, seen = Rows.body(at), _as_seen(aligned.poses[at])

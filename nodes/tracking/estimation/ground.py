@@ -62,6 +62,9 @@ class TableSeen:
         that without it."""
         ground, said, mean = self._texture["ground"], None, None
         if ground is not None:
+            up = ground["camera"][2, :3]
+            joint = np.array(joint)
+            joint[-6:-3, -6:-3] += const.GROUND_FADES**2 * np.outer(up, up)
             rows = np.r_[Rows.error, len(joint) - 6 : len(joint)]
             spread = joint[np.ix_(rows, rows)]
             said = said_by(self._gray, ground, self._camera, self._intrinsics, self._texture["covered"], spread)

@@ -73,13 +73,14 @@ def prior_of(
     joint: Floats | None,
     mean: Floats | None = None,
     older: slice | None = None,
+    sizes: Floats | None = None,
 ) -> Prior:
     """What is known before an image; motion: (6, 6) or (m, 6, 6) covariance of an object's deviation from its
-    prediction within a frame, when it is pushed; joint, mean and older: as `Prior` has them."""
+    prediction within a frame, when it is pushed; joint, mean, older and sizes: as `Prior` has them."""
     covariance = np.stack([item["covariance"] for item in objects])
     motion_scale = np.array([_with_motion(item) for item in objects])
     trend = np.array([item["trend"] for item in objects])
-    return Prior(covariance, motion, motion_scale, trend, joint, mean, older)
+    return Prior(covariance, motion, motion_scale, trend, joint, mean, older, sizes)
 
 
 def explained(task: Task) -> Explained | None:

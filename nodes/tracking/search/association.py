@@ -14,7 +14,7 @@ from hierax.nodes.tracking.estimation.alignment import offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.certainty import right
-from hierax.nodes.tracking.estimation.drift import together_of
+from hierax.nodes.tracking.estimation.drift import Sizes, together_of
 from hierax.nodes.tracking.estimation.fusion import Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
     Explained,
@@ -87,6 +87,7 @@ def associate(
     options: Options,
     mean: Floats | None = None,
     older: slice | None = None,
+    sizes: Sizes | None = None,
 ) -> Associated | None:
     """The poses that explain an image.
 
@@ -95,13 +96,14 @@ def associate(
         objects: each with "pose" (predicted camera_from_object), "before" (where it would be if it
             had not moved), "covariance", "motion_scale", "probation", "controls", "slots", "failed_searches" and "id".
         joint: covariance of the camera's error and of the objects', as `hierax.nodes.tracking.estimation.fusion.Prior`
-            has it; None where the camera's pose is exact; mean, older: likewise.
+            has it; None where the camera's pose is exact; mean, older: likewise; sizes: what is told of
+            those beforehand.
         intrinsics: (4,) fx, fy, cx, cy in pixels; options: how far things go.
 
     Returns:
         None where nothing is expected in the image.
     """
-    prior = prior_of(objects, options.motion, joint, mean, older)
+    prior = prior_of(objects, options.motion, joint, mean, older, None if sizes is None else sizes.told)
     task = task_of(image, objects, prior, intrinsics)
     best = explained(task)
     if best is None:
@@ -129,7 +131,7 @@ def associate(
     counts = [max(0, item["failed_searches"] + (1 if at in doubtful else -1)) for at, item in enumerate(objects)]
     failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(counts)]
     estimates = _estimates(found, learned, failed_searches)
-    together = together_of(objects, kept, best.fused.joint)
+    together = together_of(objects, kept, best.fused.joint, 1.0 if sizes is None else sizes.alike)
     return Associated(shift, best.fused.drift, estimates, together, best.fused.older)
 
 
