@@ -21,15 +21,6 @@ VELOCITY_GAIN = 0.4  # how far a velocity follows the last observed one
 PHYSICS_SIGMAS = 3.0  # standard deviations of a pose by which physics may move it from where it goes by itself
 BODY_FRICTION = 0.5  # Coulomb's coefficient of tracked bodies
 
-# The table's texture. Points of an image at most, and at least; how weak a corner may be beside the strongest one; in
-# camera heights, how far away.
-GROUND_POINTS, GROUND_LEAST, GROUND_CORNER, GROUND_FAR = 64, 12, 0.01, 8.0
-GROUND_REACH_PX = 8.0
-GROUND_SPREADS = 4.0  # standard deviations where Tukey's weight ends
-GROUND_ALIKE = 30.0  # images that say the same, as the older one's noise is in all of them
-GROUND_FADES = 0.0003
-GROUND_KEPT = 0.5  # the share of points that are found yet; with fewer another image is the older one from then on
-
 # Control points. Of an object of which fewer should be seen an image says nothing: of ten the share that is found errs
 # by 0.15, a standard deviation of the binomial, about as far as scores that decide are apart.
 LEAST_SHOWN = 10.0
@@ -95,7 +86,6 @@ RESTING_MARGIN = 0.1  # by so large a share of its control points another explan
 # How much a camera's drift changes from image to image, in shares of how far reports err; and, as a share, how large
 # what has an exact model is beside it: blur, light and worn edges make it seem smaller.
 DRIFTS, SIZES = 0.6, 0.007
-SIZES_ALIKE = 0.25  # objects whose sizes are supposed to have been seen before, as far from their models as expected
 # Of what its motion may change in a frame, what stands rises by so much, and tilts; what falls over rises.
 UPWARDS, TILTING, FALLING = 0.1, 0.15, 0.3
 RESTING_M, RESTING_RAD = 0.0005, 0.004  # how certain the height and the tilt of a body at rest are
@@ -193,6 +183,9 @@ AROUND = np.random.default_rng(1).normal(size=(4, 12, 6))  # where tries begin, 
 FAILED_AT_ONCE, FAILED_EVERY = 5, 8  # what was not found in so many images is looked for in one of every so many
 AT_ONCE, GUESSES = 8, 3  # poses that are imagined of a body for one image, and that are kept of it
 NEARLY_DOWN = 0.5  # cosine: on faces no farther from down one is imagined to rest that is seen where it cannot
+# The table's texture: points of an image; how weak a corner may be beside the strongest one; how far away it may be, in
+# heights of the camera; the share of points below which another image is looked at from then on.
+TEXTURE_POINTS, TEXTURE_CORNER, TEXTURE_FAR, TEXTURE_KEPT = 64, 0.01, 8.0, 0.5
 JUDGED_EVERY = 15  # images until a model that does not do so well is judged again
 
 # ---- Effort: without first poses ----

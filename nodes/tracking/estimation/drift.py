@@ -93,7 +93,7 @@ def sizes_of(objects: Sequence[TrackedObject], together: Together | None, sizes:
     off = np.array([objects[at]["slots"]["size"] - 1.0 for at in known])
     rows = [12 + 7 * places[objects[at]["id"]] for at in known]
     squares = (off * off + together["covariance"][rows, rows]) / expected
-    alike = math.sqrt((const.SIZES_ALIKE + squares.sum()) / (const.SIZES_ALIKE + len(known)))
+    alike = math.sqrt((1.0 + squares.sum()) / (1.0 + len(known)))  # as if one more were as far off as expected
     told[known, 0] = (alike**-2 - together["alike"] ** -2) / expected
     told[known, 1] = -off / (1.0 + off)
     return Sizes(told, alike)

@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.fusion import Rows
-from hierax.nodes.tracking.math.batched import inverse
+from hierax.nodes.tracking.math.batched import exp_many, inverse
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, rays
 from hierax.nodes.tracking.schema import Ground, Imagery, Texture
 
 _HALF = 20  # pixels from the middle of a patch to its end
 _CELL = 8  # pixels of a side of what is covered, or is not
 _STEP = 1e-5  # m and rad, of derivatives
+_STEPS = _STEP * np.concatenate((np.eye(12), -np.eye(12)))
 _REACH = 7  # pixels from the middle of a window that is looked for to its end
 _WINDOW = (2 * _REACH + 1, 2 * _REACH + 1)
-_ITERATIONS = 8
+_ITERATIONS = 5
 _MEDIAN = 1.386  # of the squared length of what is normally distributed in two dimensions
 
 Gray = NDArray[np.uint8]
@@ -64,7 +65,7 @@ class TableSeen:
         if ground is not None:
             up = ground["camera"][2, :3]
             joint = np.array(joint)
-            joint[-6:-3, -6:-3] += const.GROUND_FADES**2 * np.outer(up, up)
+            joint[-6:-3, -6:-3] += const.RESTING_M**2 * np.outer(up, up)
             rows = np.r_[Rows.error, len(joint) - 6 : len(joint)]
             spread = joint[np.ix_(rows, rows)]
             said = said_by(self._gray, ground, self._camera, self._intrinsics, self._texture["covered"], spread)
@@ -75,7 +76,7 @@ class TableSeen:
                 joint = joint - gain @ joint[rows]
                 joint = 0.5 * (joint + joint.T)
                 mean = joint[:, rows] @ said.right
-        if said is None or said.share < const.GROUND_KEPT:
+        if said is None or said.share < const.TEXTURE_KEPT:
             self._newer = ground_of(self._gray, self._camera, self._intrinsics, self._texture["covered"])
         if self._newer is not None:
             return Told(joint, mean, Rows.error)
@@ -113,12 +114,12 @@ def ground_of(gray: Gray, camera: Floats, intrinsics: Array, covered: Gray) -> G
     height, width = gray.shape
     cells = np.stack(np.meshgrid(*(np.arange(count) for count in covered.shape[::-1])), axis=-1)
     towards = rays(_CELL * (cells + 0.5), intrinsics) @ camera[2, :3]
-    near = -towards * const.GROUND_FAR > 1.0
+    near = -towards * const.TEXTURE_FAR > 1.0
     free = (near & (covered == 0)).astype(np.uint8).repeat(_CELL, axis=0).repeat(_CELL, axis=1)[:height, :width]
     inside = np.zeros_like(free)
     inside[_HALF:-_HALF, _HALF:-_HALF] = free[_HALF:-_HALF, _HALF:-_HALF]
-    found = cv2.goodFeaturesToTrack(gray, const.GROUND_POINTS, const.GROUND_CORNER, _HALF, mask=inside, blockSize=7)
-    if found is None or len(found) < const.GROUND_LEAST:
+    found = cv2.goodFeaturesToTrack(gray, const.TEXTURE_POINTS, const.TEXTURE_CORNER, _HALF, mask=inside, blockSize=7)
+    if found is None or len(found) < const.LEAST_SHOWN:
         return None
     points = np.rint(found[:, 0]).astype(np.int64)
     return {"camera": camera, "points": points, "patches": gray[_pixels(points)]}
@@ -135,10 +136,9 @@ def said_by(
     slopes = _structure(patches)
     errors = np.zeros(12)
     for reach in (1, 0):  # pyramid levels: near first, then exactly
-        views = _views(camera, ground["camera"], errors)
-        back = _homography(views, intrinsics)  # to this image
+        back = _homographies(camera, ground["camera"], errors[None], intrinsics)[0]  # to this image
         shown = _shown(points, back, covered, gray.shape)
-        if shown.sum() < const.GROUND_LEAST:
+        if shown.sum() < const.LEAST_SHOWN:
             return None
         seen = cv2.warpPerspective(gray, back, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         start = points[shown].astype(np.float32)
@@ -149,15 +149,15 @@ def said_by(
             like, seen, start, start.copy(), winSize=_WINDOW, maxLevel=reach, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
         )
         off = (ends - start).astype(np.float64)
-        kept = (found[:, 0] == 1) & (np.abs(off).max(axis=1) < const.GROUND_REACH_PX)
-        if kept.sum() < const.GROUND_LEAST:
+        kept = (found[:, 0] == 1) & (np.abs(off).max(axis=1) < _REACH)
+        if kept.sum() < const.LEAST_SHOWN:
             return None
         rows = np.nonzero(shown)[0][kept]
         leads = _derivatives(camera, ground["camera"], errors, intrinsics, points[rows])
         fit = _fitted(off[kept], leads, slopes[rows], inverse(spread), errors)
         errors = fit.errors
     share = fit.found / len(points)
-    if fit.found < const.GROUND_LEAST or fit.found < 0.5 * shown.sum():
+    if fit.found < const.LEAST_SHOWN or fit.found < const.TEXTURE_KEPT * shown.sum():
         return None
     return Said(fit.information, fit.right, share)
 
@@ -172,53 +172,44 @@ class _Fit(NamedTuple):
 def _fitted(off: Floats, leads: Floats, slopes: Floats, known: Floats, begun: Floats) -> _Fit:
     """Least squares over points (n, 2) that are off, by derivatives (n, 2, 12) at errors that are taken to be, with
     what is known (12, 12) of them, and Tukey's weight."""
-    target = off + leads @ begun
+    whitening = np.linalg.cholesky(slopes + 1e-6 * np.eye(2)).transpose(0, 2, 1)  # along a line nothing is told
+    leads = whitening @ leads
+    target = (whitening @ off[..., None])[..., 0] + leads @ begun
     errors, weights = begun, np.ones(len(off))
     for _ in range(_ITERATIONS):
         left = target - leads @ errors
-        squares = np.einsum("ni,nij,nj->n", left, slopes, left)
-        noise = max(float(np.median(squares)) / _MEDIAN, 1e-9)
-        weights = np.maximum(1.0 - squares / (const.GROUND_SPREADS**2 * noise), 0.0) ** 2
-        weighed = slopes * (weights / (noise * const.GROUND_ALIKE))[:, None, None]
-        information = np.einsum("nia,nij,njb->ab", leads, weighed, leads)
-        right = np.einsum("nia,nij,nj->a", leads, weighed, target)
+        squares = (left * left).sum(axis=1)
+        usual = max(float(np.median(squares)), 1e-9)
+        weights = np.maximum(1.0 - squares / (const.SPREADS**2 * usual), 0.0) ** 2
+        weighed = leads * (weights * (_MEDIAN / (usual * const.OFFSET_FRAMES)))[:, None, None]
+        weighed = weighed.reshape(-1, 12).T
+        information, right = weighed @ leads.reshape(-1, 12), weighed @ target.reshape(-1)
         errors = np.linalg.solve(information + known, right)
     return _Fit(errors, information, right, int((weights > 0.0).sum()))
 
 
-def _views(camera: Floats, older: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    return camera @ exp_se3(-errors[:6]), older @ exp_se3(-errors[6:])
-
-
-def _homography(views: tuple[Floats, Floats], intrinsics: Array) -> Floats:
-    """(3, 3) pixels of the newest image from those of the older one, of points of the plane z = 0."""
-    newest, older = (_from_plane(view, intrinsics) for view in views)
-    return np.asarray(newest @ np.linalg.inv(older))
-
-
-def _from_plane(view: Floats, intrinsics: Array) -> Floats:
-    """(3, 3) pixels, homogeneous, of the plane's points (x, y, 1)."""
+def _homographies(camera: Floats, older: Floats, errors: Floats, intrinsics: Array) -> Floats:
+    """(k, 3, 3) pixels of the newest image from those of the older one, of points of the plane z = 0, if the cameras'
+    errors (k, 12) are as large."""
     fx, fy, cx, cy = (float(part) for part in intrinsics)
-    seen = invert(view)
-    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]) @ seen[:3, [0, 1, 3]]
+    lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    views = ((camera, errors[:, :6]), (older, errors[:, 6:]))
+    newest, before = (lens @ (exp_many(error) @ invert(view))[:, :3, [0, 1, 3]] for view, error in views)
+    return np.asarray(newest @ np.linalg.inv(before))
 
 
 def _derivatives(camera: Floats, older: Floats, at: Floats, intrinsics: Array, points: Array) -> Floats:
     """(n, 2, 12) by how much points are found elsewhere in the older view, a unit of each error."""
-    back = np.linalg.inv(_homography(_views(camera, older, at), intrinsics))
-    leads = np.empty((len(points), 2, 12))
-    for row in range(12):
-        step = np.zeros(12)
-        step[row] = _STEP
-        ends = [back @ _homography(_views(camera, older, at + way), intrinsics) for way in (step, -step)]
-        leads[:, :, row] = (_carried(points, ends[0]) - _carried(points, ends[1])) / (2.0 * _STEP)
-    return leads
+    there = _homographies(camera, older, at + _STEPS, intrinsics)
+    back = np.linalg.inv(_homographies(camera, older, at[None], intrinsics)[0])
+    ends = _carried(points, back @ there)
+    return np.asarray((ends[:12] - ends[12:]).transpose(1, 2, 0) / (2.0 * _STEP))
 
 
 def _carried(points: Array, by: Floats) -> Floats:
-    """(n, 2) points where a homography takes them."""
-    ends = np.column_stack((points, np.ones(len(points)))) @ by.T
-    return np.asarray(ends[:, :2] / ends[:, 2:])
+    """(..., n, 2) points (n, 2) where homographies (..., 3, 3) take them."""
+    ends = np.column_stack((points, np.ones(len(points)))) @ np.swapaxes(by, -1, -2)
+    return np.asarray(ends[..., :2] / ends[..., 2:])
 
 
 def _shown(points: Array, by: Floats, covered: Gray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
