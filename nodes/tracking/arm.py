@@ -15,7 +15,8 @@ from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.drift import joint_of, lasting, sizes_of
-from hierax.nodes.tracking.estimation.ground import TableSeen, covered_by, gray_of
+from hierax.nodes.tracking.estimation.fusion import Known
+from hierax.nodes.tracking.estimation.ground import View, corrected, covered_by, told_by
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -35,6 +36,7 @@ from hierax.runtime.core.showing import Things
 _Objects = tuple[schema.TrackedObject, ...]
 
 
+_NO_TEXTURE: schema.Texture = {"covered": np.zeros((0, 0), dtype=np.uint8), "ground": None, "alike": 1.0}
 _NO_IMAGE = np.zeros((0, 0, 1), dtype=np.float32)  # where nothing is expected that it could show
 
 
@@ -60,7 +62,8 @@ class ArmNode(Node):
             node may take part, or its predictions count, from a later epoch on only.
         camera: of a camera there might have been, world_from_camera, from which the first poses are seen; None: they
             are seen from the first image's.
-        table_texture: whether the table's texture tells how a camera has moved that is not exactly where it is said to be.
+        table_texture: whether the table's texture tells how the camera has moved, where it is not exactly where it is
+            said to be.
 
     Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
     """
@@ -150,17 +153,16 @@ class ArmNode(Node):
         )
         sweeps = _moved(belief["sweeps"], moved)
         present = tuple(item for item in objects if sweeps is None or not _is_missing(item))
-        table = self._table_seen(seen, camera, belief) if said is not None and not still else None
-        shown = sweeps is not None or any(len(item["controls"]["points"]) for item in present)
+        shown = sweeps is not None or _is_anything_expected(present)
         image = smoothed(seen["image"]) if shown else _NO_IMAGE
-        reports = None if still else self._reports
-        found = self._associated(present, image, seen["intrinsics"], belief["together"], reports, table)
+        view = None if still else View(seen["image"], camera, seen["intrinsics"])
+        known, texture = self._known(present, belief, view)
+        found = self._associated(present, image, seen["intrinsics"], known)
         corrected, shift = self._corrected(present, found), np.eye(4) if found is None else found.shift
         after = {item["id"]: item for item in corrected}
         guessed = {item["id"]: _guessed(item, shift) for item in objects}
         objects = tuple(after.get(item["id"]) or {**item, "others": guessed[item["id"]]} for item in objects)
         camera = camera @ invert(shift)
-        texture = _texture_after(belief, table, found, camera, still)
         sweeps = _moved(sweeps, shift)
         if sweeps is not None:
             objects = self._searched(image, objects, guessed, sweeps, seen["intrinsics"], camera[2])
@@ -169,13 +171,13 @@ class ArmNode(Node):
             "camera": camera,
             "reported": reported,
             "drift": drift if found is None else drift @ exp_se3(-found.drift),
-            "together": None if reports is None else belief["together"] if found is None else found.together,
+            "together": None if still else belief["together"] if found is None else found.together,
             "intrinsics": np.asarray(seen["intrinsics"], dtype=np.float64),
             "size": (width, height),
             "frame": seen["frame"],
             "objects": objects,
             "sweeps": None,
-            **texture,
+            **_texture_after(belief, texture, found, camera),
         }
 
     def predict(
@@ -203,8 +205,8 @@ class ArmNode(Node):
         after: schema.ArmBelief = {**belief, "objects": objects, "sweeps": _moved(context[0]["sweeps"], invert(camera))}
         if not self._texture or context[0]["sweeps"] is None:
             return after
-        ground = belief["texture"]["ground"] if "texture" in belief else None
-        return {**after, "texture": {"covered": covered_by(context[0]), "ground": ground}}
+        known = belief.get("texture", _NO_TEXTURE)
+        return {**after, "texture": {**known, "covered": covered_by(context[0])}}
 
     def metrics(self, belief: schema.ArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
@@ -214,36 +216,34 @@ class ArmNode(Node):
         """The image with edges, the camera, the scores, and what speaks for the poses."""
         return arm_things(step, before, self._options.motion)
 
-    def _associated(
-        self,
-        objects: _Objects,
-        image: Image,
-        intrinsics: Array,
-        together: schema.Together | None,
-        reports: Floats | None,
-        table: TableSeen | None,
-    ) -> Associated | None:
-        """What the image says; None where nothing of any object is expected in it."""
-        if not any(len(item["controls"]["points"]) for item in objects):
-            return None
-        known = objects
-        if not self._prior:
-            known, together = tuple({**item, "covariance": const.UNKNOWN} for item in objects), None
-        motion = np.stack([self._motion(item) for item in objects])
-        falling = np.stack([held(self._options.motion, item["support"], const.FALLING, 1.0) for item in known])
-        options = self._options._replace(motion=motion, falling=falling)
-        joint = None if reports is None else joint_of(known, together, reports, self._sizes, self._lasts)
-        if joint is None or table is None:
-            return associate(image, known, joint, np.asarray(intrinsics), options)
-        told = table.told(joint)
-        sizes = sizes_of(known, together, self._sizes)
-        return associate(image, known, told.joint, np.asarray(intrinsics), options, told.mean, told.older, sizes)
+    def _known(
+        self, objects: _Objects, belief: schema.ArmBelief, view: View | None
+    ) -> tuple[Known | None, schema.Texture | None]:
+        """What is known of the camera and all objects together before an image, and, where there is a table, of its
+        texture when that was looked at; view: None where the camera stands still, so that it is where it was."""
+        texture = belief.get("texture")
+        if view is None:
+            return None, texture and {**texture, "ground": None}
+        together, alike = belief["together"] if self._prior else None, texture["alike"] if texture else 1.0
+        joint = joint_of(self._believed(objects), together, self._reports, self._sizes, self._lasts, alike)
+        if texture is None or not _is_anything_expected(objects):
+            return Known(joint), texture
+        sizes = sizes_of(objects, together, alike, self._sizes)
+        told = told_by(view, texture, joint)
+        return told.known._replace(sizes=sizes.told), {**texture, "ground": told.ground, "alike": sizes.alike}
 
-    def _table_seen(self, seen: schema.Picture, camera: Floats, belief: schema.ArmBelief) -> TableSeen | None:
-        """What may be seen of the table's texture; None where no table is expected."""
-        if "texture" not in belief:
+    def _associated(self, objects: _Objects, image: Image, intrinsics: Array, known: Known | None) -> Associated | None:
+        """What the image says; None where nothing of any object is expected in it."""
+        if not _is_anything_expected(objects):
             return None
-        return TableSeen(gray_of(seen["image"]), camera, np.asarray(seen["intrinsics"]), belief["texture"])
+        motion = np.stack([self._motion(item) for item in objects])
+        falling = np.stack([held(self._options.motion, item["support"], const.FALLING, 1.0) for item in objects])
+        options = self._options._replace(motion=motion, falling=falling)
+        return associate(image, self._believed(objects), known, np.asarray(intrinsics), options)
+
+    def _believed(self, objects: _Objects) -> _Objects:
+        """The objects, of which nothing is known where there is to be no prior."""
+        return objects if self._prior else tuple({**item, "covariance": const.UNKNOWN} for item in objects)
 
     def _left_of(self, drift: Floats) -> Floats:
         """What is left of a drift in the next image."""
@@ -252,8 +252,7 @@ class ArmNode(Node):
     def _corrected(self, objects: _Objects, found: Associated | None) -> _Objects:
         """The objects after the image."""
         if found is None:
-            expected = any(len(item["controls"]["points"]) for item in objects)
-            return tuple(map(self._blind if expected else self._out_of_view, objects))
+            return tuple(map(self._blind if _is_anything_expected(objects) else self._out_of_view, objects))
         seen = zip(objects, found.estimates, strict=True)
         return tuple(_sought(self._judged(item, found.shift @ item["pose"], each)) for item, each in seen)
 
@@ -380,15 +379,20 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
     }
 
 
+def _is_anything_expected(objects: _Objects) -> bool:
+    return any(len(item["controls"]["points"]) for item in objects)
+
+
 def _texture_after(
-    belief: schema.ArmBelief, table: TableSeen | None, found: Associated | None, camera: Floats, still: bool
+    belief: schema.ArmBelief, texture: schema.Texture | None, found: Associated | None, camera: Floats
 ) -> schema.MayKnowTexture:
-    """What is known of the table's texture after an image; camera: as it is corrected."""
-    if "texture" not in belief:
+    """What is known of the table's texture after an image; camera: as that has it."""
+    if texture is None:
         return {}
-    if table is None or found is None:
-        return {"texture": {**belief["texture"], "ground": None if still else belief["texture"]["ground"]}}
-    return {"texture": table.after(camera, found.older)}
+    ground, before = texture["ground"], belief["texture"]["ground"]
+    if found is None or ground is None:
+        return {"texture": {**texture, "ground": ground and before}}
+    return {"texture": {**texture, "ground": corrected(ground, camera, ground is not before, found.older)}}
 
 
 def _moved(sweeps: tuple[schema.Sweep, ...] | None, by: Floats) -> tuple[schema.Sweep, ...] | None:

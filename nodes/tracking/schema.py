@@ -234,8 +234,6 @@ class _Viewing(TypedDict):
 class Together(TypedDict):
     """How errors that last go together."""
 
-    alike: float  # how far sizes are from their models', in shares of what is expected of each
-
     ids: Annotated[NDArray[np.int64], Is(("m",), "int64", "objects")]
     # of the camera's drift, a twist in its frame, and of the pose of each of these objects in the world, a twist in its
     # frame, and its size, a share of that; then of the camera in the image of `Ground`, where there is one, likewise
@@ -256,6 +254,7 @@ class Texture(TypedDict):
     # 1 where bodies are expected in the next image, and next to them
     covered: Annotated[NDArray[np.uint8], Is(("h", "w"), "uint8", "cells of 8 pixels")]
     ground: Ground | None  # None where there is none, and while the camera stands still
+    alike: float  # how far objects' sizes are from their models', in shares of what is expected of each
 
 
 class MayKnowTexture(TypedDict, total=False):

@@ -51,6 +51,7 @@ def joint_of(
     reports: Floats,
     sizes: float = const.SIZES,
     lasts: Floats | float = 1.0,
+    alike: float = 1.0,
 ) -> Floats:
     """`hierax.nodes.tracking.estimation.fusion.Prior.joint` of the objects.
 
@@ -59,8 +60,9 @@ def joint_of(
         reports: (6, 6) covariance of the error that is drawn anew in each image.
         sizes: how large what has an exact model may be beside it, as a share.
         lasts: (6,) which share of the drift is left since the image before, along and about each axis, or in all.
+        alike: `Sizes.alike` up to the image before.
     """
-    whole = _continued(objects, together, sizes)
+    whole = _continued(objects, together, sizes, alike)
     whole[Rows.drift] *= np.reshape(lasts, (-1, 1))
     whole[:, Rows.drift] *= lasts
     whole[Rows.drift, Rows.drift] += const.DRIFTS**2 * reports
@@ -80,35 +82,40 @@ class Sizes(NamedTuple):
     alike: float  # by how much less they differ than expected, as a share
 
 
-def sizes_of(objects: Sequence[TrackedObject], together: Together | None, sizes: float = const.SIZES) -> Sizes:
-    """How far sizes are from models' is learned from all objects: where those that stand on one table seem as large beside
-    one another as their models are, models are exact, and tell how far away all of it is. One step of expectation
-    maximisation (Dempster, Laird and Rubin, 1977) an image; sizes: as `joint_of` has it."""
+def sizes_of(
+    objects: Sequence[TrackedObject], together: Together | None, alike: float, sizes: float = const.SIZES
+) -> Sizes:
+    """How far sizes are from models' is learned from all objects: where those that stand on one table seem as large
+    beside one another as their models are, models are exact, and tell how far away all of it is. One step of
+    expectation maximisation (Dempster, Laird and Rubin, 1977) an image.
+
+    Args:
+        together: as `joint_of` is told it; sizes: likewise.
+        alike: what was learned up to the image before.
+    """
     told = np.zeros((len(objects), 2))
     if together is None:
-        return Sizes(told, 1.0)
+        return Sizes(told, alike)
     places = {number: place for place, number in enumerate(together["ids"].tolist())}
     known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
     expected = np.array([_size_variance(objects[at], sizes) for at in known])
     off = np.array([objects[at]["slots"]["size"] - 1.0 for at in known])
-    rows = [12 + 7 * places[objects[at]["id"]] for at in known]
+    rows = [_size(places[objects[at]["id"]]) for at in known]
     squares = (off * off + together["covariance"][rows, rows]) / expected
-    alike = math.sqrt((1.0 + squares.sum()) / (1.0 + len(known)))  # as if one more were as far off as expected
-    told[known, 0] = (alike**-2 - together["alike"] ** -2) / expected
+    learned = math.sqrt((1.0 + squares.sum()) / (1.0 + len(known)))  # as if one more were as far off as expected
+    told[known, 0] = (learned**-2 - alike**-2) / expected
     told[known, 1] = -off / (1.0 + off)
-    return Sizes(told, alike)
+    return Sizes(told, learned)
 
 
-def together_of(
-    objects: Sequence[TrackedObject], kept: Sequence[int], joint: Floats | None, alike: float = 1.0
-) -> Together | None:
+def together_of(objects: Sequence[TrackedObject], kept: Sequence[int], joint: Floats | None) -> Together | None:
     """What is known after an image; kept: which objects are in the end where that has them, joint: as
-    `hierax.nodes.tracking.estimation.fusion.Fused` has it; alike: of `sizes_of`."""
+    `hierax.nodes.tracking.estimation.fusion.Fused` has it."""
     if joint is None:
         return None
-    rows = np.concatenate((_rows(kept), np.arange(6 + 7 * len(objects), len(joint))))
+    rows = np.r_[_rows(kept), 6 + 7 * len(objects) : len(joint)]
     ids = np.array([objects[at]["id"] for at in kept], dtype=np.int64)
-    return {"ids": ids, "covariance": joint[np.ix_(rows, rows)], "alike": alike}
+    return {"ids": ids, "covariance": joint[np.ix_(rows, rows)]}
 
 
 def _rows(places: Sequence[int]) -> Indices:
@@ -116,24 +123,23 @@ def _rows(places: Sequence[int]) -> Indices:
     return np.concatenate([np.arange(6), *(np.arange(7) + 7 * at + 6 for at in places)])
 
 
-def _continued(objects: Sequence[TrackedObject], together: Together | None, sizes: float) -> Floats:
-    """(6 + 7 m, 6 + 7 m) covariance of the drift and of the objects, and of the camera in an older image, where there
-    is one; what nothing was known of goes with nothing."""
-    older = 0 if together is None else len(together["covariance"]) - 6 - 7 * len(together["ids"])
+def _continued(objects: Sequence[TrackedObject], together: Together | None, sizes: float, alike: float) -> Floats:
+    """(6 + 7 m, 6 + 7 m) covariance of the drift and of the objects, and of the camera in an older image (6 more),
+    where there is one; what nothing was known of goes with nothing."""
+    before = 0 if together is None else len(together["covariance"])
+    older = 0 if together is None else before - 6 - 7 * len(together["ids"])
     size = 6 + 7 * len(objects) + older
     whole = np.zeros((size, size))
-    alike = 1.0 if together is None else together["alike"]
     for at, item in enumerate(objects):
         view = _pose(at)
         whole[view, view] = item["covariance"]
-        whole[view.stop, view.stop] = alike**2 * _size_variance(item, sizes)
+        whole[_size(at), _size(at)] = alike**2 * _size_variance(item, sizes)
     if together is None:
         return whole
     places = {number: place for place, number in enumerate(together["ids"].tolist())}
     known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
-    here = np.concatenate((_rows(known), np.arange(size - older, size)))
-    there = _rows([places[objects[at]["id"]] for at in known])
-    there = np.concatenate((there, np.arange(older) + len(together["covariance"]) - older))
+    here = np.r_[_rows(known), size - older : size]
+    there = np.r_[_rows([places[objects[at]["id"]] for at in known]), before - older : before]
     whole[np.ix_(here, here)] = together["covariance"][np.ix_(there, there)]
     return whole
 
@@ -148,3 +154,7 @@ def _size_variance(item: TrackedObject, exact: float) -> float:
 
 def _pose(at: int) -> slice:
     return slice(7 * at + 6, 7 * at + 12)
+
+
+def _size(at: int) -> int:
+    return 7 * at + 12

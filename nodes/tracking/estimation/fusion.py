@@ -21,7 +21,7 @@ class Rows:
 
     @staticmethod
     def bodies(count: int) -> slice:
-        """Of all objects; what comes after them is the error of the camera in an older image, where there is one."""
+        """Of all objects."""
         return slice(12, 12 + 7 * count)
 
     @staticmethod
@@ -30,26 +30,41 @@ class Rows:
         return slice(12 + 7 * at, 19 + 7 * at)
 
     @staticmethod
+    def sizes(count: int) -> slice:
+        """Of all objects' sizes."""
+        return slice(18, 12 + 7 * count, 7)
+
+    @staticmethod
     def pose(at: int) -> slice:
         """Of an object's pose."""
         return slice(12 + 7 * at, 18 + 7 * at)
 
 
+class Known(NamedTuple):
+    """What is known of the camera and all objects together, before the image."""
+
+    # (12 + 7 m, 12 + 7 m) covariance of the camera's drift and of its error in this image, twists in its frame, and of
+    # each object's pose in the world before it moves, a twist in its frame, and of its size, a share of that; and,
+    # where there is one, of the camera's error in an older image (6 more), a twist in its frame; None: the camera's
+    # pose is exact
+    joint: Floats | None = None
+    # what is expected of all of that, where the table's texture has told something of it; None: nothing
+    mean: Floats | None = None
+    older: slice | None = None  # which rows are about the camera's error in an older image from the next image on
+    # (m, 2) how much better than `joint` has it sizes are known, as inverse variance, and which they are; None: not
+    sizes: Floats | None = None
+
+
 class Prior(NamedTuple):
-    """What is known before the image."""
+    """What is known before the image: of each object, and, as `Known` has it, of all."""
 
     covariance: Floats  # (m, 6, 6) of the objects where they were seen last
     motion: Floats  # (6, 6) of an object's deviation from its prediction within a frame, when it is pushed
     motion_scale: Floats  # (m,) how much of that each object's latest motion asks for
     trend: Floats  # (m, 6) running mean of how far images had objects from their predictions, in standard deviations
-    # (12 + 7 m, 12 + 7 m) covariance of the camera's drift and of its error in this image, twists in its frame, and of
-    # each object's pose in the world before it moves, a twist in its frame, and of its size, a share of that; None: the
-    # camera's pose is exact
     joint: Floats | None
-    # what is expected of all of that, where the table's texture has told something of it; None: nothing
     mean: Floats | None = None
-    older: slice | None = None  # which rows are about the camera's error in an older image from the next image on
-    # (m, 2) how much better than `joint` has it sizes are known beforehand, as inverse variance, and what they are
+    older: slice | None = None
     sizes: Floats | None = None
 
     @property
@@ -78,7 +93,7 @@ class Fused(NamedTuple):
     trend: Floats  # (m, 6)
     drift: Floats  # (6,) twist of the camera's frame: what is left of its error in the next image
     sizes: Floats  # (m,) by which share each object is larger than was expected
-    # (6 + 7 m, 6 + 7 m) covariance of drift, poses in the world and sizes, and then of `Prior.older`; None: a known camera
+    # (6 + 7 m, 6 + 7 m) covariance of drift, poses in the world and sizes, and of `Prior.older`; None: a known camera
     joint: Floats | None
     older: Floats  # (6,) what is known of `Prior.older` beside what was expected of it
 
@@ -132,7 +147,7 @@ def _solved(aligned: Aligned, prior: Prior) -> _Solved:
     whole = inverse(_with_motion(prior))
     right = np.zeros(len(whole)) if prior.mean is None else whole @ prior.mean
     if prior.sizes is not None:
-        rows = 18 + 7 * np.arange(count)
+        rows = np.r_[Rows.sizes(count)]
         whole[rows, rows] += prior.sizes[:, 0]
         right[rows] += prior.sizes[:, 0] * prior.sizes[:, 1]
     whole[Rows.error, Rows.error] += aligned.blocks[:, :6, :6].sum(axis=0)

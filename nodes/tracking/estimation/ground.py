@@ -1,13 +1,13 @@
 """What the table's texture says of the camera: an older image of it, beside the newest one.
 
-Points of a plane are where a homography takes them from one image to another, and that follows from where the camera was over
-the plane in both. So an image tells how the camera has moved since an older one, and, as soon as it has moved, how it is tilted
-towards the table: what the objects' edges alone tell but roughly, as each of them may be tilted a little, too. How high the camera is
-the texture does not say. The older camera's error is part of what is estimated (stochastic cloning: Roumeliotis and
-Burdick, 2002), as what both images have in common tells of both.
+Points of a plane are where a homography takes them from one image to another, and that follows from where the camera
+was over the plane in both. So an image tells how the camera has moved since an older one, and, as soon as it has moved,
+how it is tilted towards the table: what objects' edges tell but roughly, as each object may be tilted a little, too.
+How high the camera is the texture does not say. The older camera's error is part of what is estimated (stochastic
+cloning: Roumeliotis and Burdick, 2002), as what both images have in common tells of both.
 
-Patches about corners of the older image are found in the newest one, which is first taken back to the older view (Lucas and
-Kanade, 1981; OpenCV's). What moves otherwise, as what stands on the table does, is left out by Tukey's weight."""
+Patches about corners of the older image are found in the newest one, which is first taken back to the older view
+(Lucas and Kanade, 1981; OpenCV's). What moves otherwise, as what stands on the table, Tukey's weight leaves out."""
 
 from typing import NamedTuple
 
@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking import constants as const
-from hierax.nodes.tracking.estimation.fusion import Rows
+from hierax.nodes.tracking.estimation.fusion import Known, Rows
 from hierax.nodes.tracking.math.batched import exp_many, inverse
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, rays
+from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import Ground, Imagery, Texture
 
 _HALF = 20  # pixels from the middle of a patch to its end
@@ -33,7 +34,29 @@ _MEDIAN = 1.386  # of the squared length of what is normally distributed in two 
 Gray = NDArray[np.uint8]
 
 
-class Said(NamedTuple):
+class View(NamedTuple):
+    """An image, and where it is expected to be seen from."""
+
+    image: Array  # (h, w) or (h, w, 3), grey levels
+    camera: Floats  # world_from_camera, where z = 0 is the table
+    intrinsics: Array  # (4,) fx, fy, cx, cy in pixels
+
+    @property
+    def gray(self) -> Gray:
+        """(h, w)."""
+        if self.image.ndim == 2:
+            return self.image
+        return np.asarray(cv2.cvtColor(self.image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+class Told(NamedTuple):
+    """What is known when the texture was seen."""
+
+    known: Known  # of the camera and all objects
+    ground: Ground | None  # what is looked at in the next image; its camera's error has the rows `Known.older`
+
+
+class _Said(NamedTuple):
     """What the texture says: a quadratic around no error."""
 
     information: Floats  # (12, 12) of the camera's error in this image and in the older one, twists in their frames
@@ -41,60 +64,32 @@ class Said(NamedTuple):
     share: float  # of the points in the older image, how many are found
 
 
-class Told(NamedTuple):
-    """`hierax.nodes.tracking.estimation.fusion.Prior`'s fields of these names, when the texture was seen."""
-
-    joint: Floats
-    mean: Floats | None
-    older: slice | None
-
-
-class TableSeen:
-    """The table in one image: what that says of the camera, and what is kept of it.
-
-    Args: gray: (h, w); camera: world_from_camera as it is expected, where z = 0 is the table; texture: what is known."""
-
-    def __init__(self, gray: Gray, camera: Floats, intrinsics: Array, texture: Texture) -> None:
-        self._gray, self._camera, self._intrinsics, self._texture = gray, camera, intrinsics, texture
-        self._newer: Ground | None = None
-
-    def told(self, joint: Floats) -> Told:
-        """What is known of the camera and all objects with it, as `hierax.nodes.tracking.estimation.drift.joint_of` has
-        that without it."""
-        ground, said, mean = self._texture["ground"], None, None
-        if ground is not None:
-            up = ground["camera"][2, :3]
-            joint = np.array(joint)
-            joint[-6:-3, -6:-3] += const.RESTING_M**2 * np.outer(up, up)
-            rows = np.r_[Rows.error, len(joint) - 6 : len(joint)]
-            spread = joint[np.ix_(rows, rows)]
-            said = said_by(self._gray, ground, self._camera, self._intrinsics, self._texture["covered"], spread)
-            if said is not None:
-                gain = (
-                    joint[:, rows] @ np.linalg.solve((np.eye(12) + spread @ said.information).T, said.information.T).T
-                )
-                joint = joint - gain @ joint[rows]
-                joint = 0.5 * (joint + joint.T)
-                mean = joint[:, rows] @ said.right
-        if said is None or said.share < const.TEXTURE_KEPT:
-            self._newer = ground_of(self._gray, self._camera, self._intrinsics, self._texture["covered"])
-        if self._newer is not None:
-            return Told(joint, mean, Rows.error)
-        return Told(joint, mean, None if ground is None else slice(len(joint) - 6, len(joint)))
-
-    def after(self, camera: Floats, older: Floats) -> Texture:
-        """What is known from then on; camera: as it turned out, older: by how much that of the older image erred."""
-        ground = self._texture["ground"]
-        if self._newer is not None:
-            return {**self._texture, "ground": {**self._newer, "camera": camera}}
-        if ground is None:
-            return self._texture
-        return {**self._texture, "ground": {**ground, "camera": ground["camera"] @ exp_se3(-older)}}
+def told_by(view: View, texture: Texture, joint: Floats) -> Told:
+    """What is known of the camera and all objects, by the texture, too; joint: what is known of them without it, as
+    `Known` has it."""
+    view = view._replace(image=view.gray)
+    ground, said, known = texture["ground"], None, Known(joint)
+    if texture["covered"].shape != _cells(view.gray):  # of another camera
+        return Told(known, None)
+    if ground is not None:
+        joint, rows = np.array(joint), np.r_[Rows.error, len(joint) - 6 : len(joint)]
+        up = ground["camera"][2, :3]
+        # How high the camera is, images say again and again, and err alike: older ones count less and less.
+        joint[-6:-3, -6:-3] += const.RESTING_M**2 * np.outer(up, up)
+        spread = joint[np.ix_(rows, rows)]
+        said = _said_by(view, ground, texture["covered"], spread)
+        known = Known(joint, older=slice(len(joint) - 6, len(joint))) if said is None else _with(said, joint, rows)
+    if said is not None and said.share >= const.TEXTURE_KEPT:
+        return Told(known, ground)
+    newer = ground_of(view, texture["covered"])
+    return Told(known, ground) if newer is None else Told(known._replace(older=Rows.error), newer)
 
 
-def gray_of(image: Array) -> Gray:
-    """(h, w) of a picture (h, w) or (h, w, 3)."""
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+def corrected(ground: Ground, camera: Floats, newer: bool, error: Floats) -> Ground:
+    """The same, with its camera as the image has it.
+
+    Args: camera: the newest image's, as it turned out; newer: whether that is the texture's; error: the older one's."""
+    return {**ground, "camera": camera if newer else ground["camera"] @ exp_se3(-error)}
 
 
 def covered_by(imagery: Imagery) -> Gray:
@@ -104,69 +99,68 @@ def covered_by(imagery: Imagery) -> Gray:
     rows, columns = imagery["labels"].shape
     whole = np.zeros((height, width), dtype=np.uint8)
     whole[top : top + rows, left : left + columns] = imagery["labels"] > 0
-    size = (-(-width // _CELL), -(-height // _CELL))
-    coarse = cv2.resize(whole * np.uint8(255), size, interpolation=cv2.INTER_AREA) > 0
+    coarse = cv2.resize(whole * np.uint8(255), _cells(whole)[::-1], interpolation=cv2.INTER_AREA) > 0
     return np.asarray(cv2.dilate(coarse.astype(np.uint8), np.ones((5, 5), dtype=np.uint8)))
 
 
-def ground_of(gray: Gray, camera: Floats, intrinsics: Array, covered: Gray) -> Ground | None:
-    """Corners of the table's texture; camera: world_from_camera, where z = 0 is the table. None: there are too few."""
-    height, width = gray.shape
+def ground_of(view: View, covered: Gray) -> Ground | None:
+    """Corners of the table's texture, where nothing is expected to stand. None: there are too few."""
+    height, width = view.gray.shape
     cells = np.stack(np.meshgrid(*(np.arange(count) for count in covered.shape[::-1])), axis=-1)
-    towards = rays(_CELL * (cells + 0.5), intrinsics) @ camera[2, :3]
-    near = -towards * const.TEXTURE_FAR > 1.0
-    free = (near & (covered == 0)).astype(np.uint8).repeat(_CELL, axis=0).repeat(_CELL, axis=1)[:height, :width]
-    inside = np.zeros_like(free)
+    towards = rays(_CELL * (cells + 0.5), view.intrinsics) @ view.camera[2, :3]
+    free = (-towards * const.TEXTURE_FAR > 1.0) & (covered == 0)
+    free = free.repeat(_CELL, axis=0).repeat(_CELL, axis=1)[:height, :width]
+    inside = np.zeros_like(view.gray)
     inside[_HALF:-_HALF, _HALF:-_HALF] = free[_HALF:-_HALF, _HALF:-_HALF]
-    found = cv2.goodFeaturesToTrack(gray, const.TEXTURE_POINTS, const.TEXTURE_CORNER, _HALF, mask=inside, blockSize=7)
+    most, weakest = const.TEXTURE_POINTS, const.TEXTURE_CORNER
+    found = cv2.goodFeaturesToTrack(view.gray, most, weakest, _HALF, mask=inside, blockSize=_HALF // 3)
     if found is None or len(found) < const.LEAST_SHOWN:
         return None
     points = np.rint(found[:, 0]).astype(np.int64)
-    return {"camera": camera, "points": points, "patches": gray[_pixels(points)]}
-
-
-def said_by(
-    gray: Gray, ground: Ground, camera: Floats, intrinsics: Array, covered: Gray, spread: Floats
-) -> Said | None:
-    """What an image says; camera: as it is expected, spread: (12, 12) covariance of its error and the older one's.
-    None: too little of the texture is found."""
-    patches, points = ground["patches"], ground["points"]
-    canvas = np.zeros_like(gray)
-    canvas[_pixels(points)] = patches
-    slopes = _structure(patches)
-    errors = np.zeros(12)
-    for reach in (1, 0):  # pyramid levels: near first, then exactly
-        back = _homographies(camera, ground["camera"], errors[None], intrinsics)[0]  # to this image
-        shown = _shown(points, back, covered, gray.shape)
-        if shown.sum() < const.LEAST_SHOWN:
-            return None
-        seen = cv2.warpPerspective(gray, back, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-        start = points[shown].astype(np.float32)
-        bright = float(np.mean(canvas[points[shown, 1], points[shown, 0]]) or 1.0)
-        gain = float(np.mean(seen[points[shown, 1], points[shown, 0]])) / bright
-        like = cv2.convertScaleAbs(canvas, alpha=gain)
-        ends, found, _ = cv2.calcOpticalFlowPyrLK(
-            like, seen, start, start.copy(), winSize=_WINDOW, maxLevel=reach, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
-        )
-        off = (ends - start).astype(np.float64)
-        kept = (found[:, 0] == 1) & (np.abs(off).max(axis=1) < _REACH)
-        if kept.sum() < const.LEAST_SHOWN:
-            return None
-        rows = np.nonzero(shown)[0][kept]
-        leads = _derivatives(camera, ground["camera"], errors, intrinsics, points[rows])
-        fit = _fitted(off[kept], leads, slopes[rows], inverse(spread), errors)
-        errors = fit.errors
-    share = fit.found / len(points)
-    if fit.found < const.LEAST_SHOWN or fit.found < const.TEXTURE_KEPT * shown.sum():
-        return None
-    return Said(fit.information, fit.right, share)
+    return {"camera": view.camera, "points": points, "patches": view.gray[_pixels(points)]}
 
 
 class _Fit(NamedTuple):
+    """Errors that put points where they are found."""
+
     errors: Floats  # (12,)
     information: Floats  # (12, 12)
-    right: Floats  # (12,)
-    found: int
+    right: Floats  # (12,) the information, times the errors of which it speaks
+    found: int  # points
+
+
+def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said | None:
+    """What the texture says; spread: (12, 12) covariance of the errors. None: too little of it is found."""
+    canvas = np.zeros_like(view.gray)
+    canvas[_pixels(ground["points"])] = ground["patches"]
+    known, fit = inverse(spread), _Fit(np.zeros(12), np.zeros((12, 12)), np.zeros(12), 0)
+    for level in (1, 0):  # of a pyramid: near first, then exactly
+        back = _homographies(view, ground, fit.errors[None])[0]  # from the older image's pixels
+        shown = np.nonzero(_shown(ground["points"], back, covered, view.gray.shape))[0]
+        if len(shown) < const.LEAST_SHOWN:
+            return None
+        rows, off = _found(canvas, view.gray, back, ground["points"][shown], level)
+        rows = shown[rows]
+        if len(rows) < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
+            return None
+        leads = _derivatives(view, ground, fit.errors, ground["points"][rows])
+        fit = _fitted(off, leads, _structure(ground["patches"][rows]), known, fit.errors)
+        if fit.found < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
+            return None
+    return _Said(fit.information, fit.right, fit.found / len(ground["points"]))
+
+
+def _found(canvas: Gray, gray: Gray, back: Floats, points: NDArray[np.int64], level: int) -> tuple[Indices, Floats]:
+    """Which points (k,) of the older image are found, and how far (k, 2) beside where they should be, pixels."""
+    seen = cv2.warpPerspective(gray, back, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    rows, columns = points[:, 1], points[:, 0]
+    brighter = float(seen[rows, columns].mean()) / max(float(canvas[rows, columns].mean()), 1.0)
+    like = cv2.convertScaleAbs(canvas, alpha=brighter)
+    start = points.astype(np.float32)
+    ends, found, _ = cv2.calcOpticalFlowPyrLK(like, seen, start, start.copy(), winSize=_WINDOW, maxLevel=level)
+    off = (ends - start).astype(np.float64)
+    kept = np.nonzero((found[:, 0] == 1) & (np.abs(off).max(axis=1) < _REACH))[0]
+    return kept, off[kept]
 
 
 def _fitted(off: Floats, leads: Floats, slopes: Floats, known: Floats, begun: Floats) -> _Fit:
@@ -175,34 +169,43 @@ def _fitted(off: Floats, leads: Floats, slopes: Floats, known: Floats, begun: Fl
     whitening = np.linalg.cholesky(slopes + 1e-6 * np.eye(2)).transpose(0, 2, 1)  # along a line nothing is told
     leads = whitening @ leads
     target = (whitening @ off[..., None])[..., 0] + leads @ begun
-    errors, weights = begun, np.ones(len(off))
+    fit = _Fit(begun, known, np.zeros(12), 0)
     for _ in range(_ITERATIONS):
-        left = target - leads @ errors
+        left = target - leads @ fit.errors
         squares = (left * left).sum(axis=1)
         usual = max(float(np.median(squares)), 1e-9)
         weights = np.maximum(1.0 - squares / (const.SPREADS**2 * usual), 0.0) ** 2
+        # The older image's noise is the same in all that comes after.
         weighed = leads * (weights * (_MEDIAN / (usual * const.OFFSET_FRAMES)))[:, None, None]
         weighed = weighed.reshape(-1, 12).T
         information, right = weighed @ leads.reshape(-1, 12), weighed @ target.reshape(-1)
-        errors = np.linalg.solve(information + known, right)
-    return _Fit(errors, information, right, int((weights > 0.0).sum()))
+        fit = _Fit(np.linalg.solve(information + known, right), information, right, int((weights > 0.0).sum()))
+    return fit
 
 
-def _homographies(camera: Floats, older: Floats, errors: Floats, intrinsics: Array) -> Floats:
+def _with(said: _Said, joint: Floats, rows: Indices) -> Known:
+    """What is known with that (a Kalman filter's update, of what is told as information)."""
+    spread = joint[np.ix_(rows, rows)]
+    gain = joint[:, rows] @ said.information @ np.linalg.inv(np.eye(12) + spread @ said.information)
+    after = joint - gain @ joint[rows]
+    after = 0.5 * (after + after.T)
+    return Known(after, after[:, rows] @ said.right, slice(len(joint) - 6, len(joint)))
+
+
+def _homographies(view: View, ground: Ground, errors: Floats) -> Floats:
     """(k, 3, 3) pixels of the newest image from those of the older one, of points of the plane z = 0, if the cameras'
     errors (k, 12) are as large."""
-    fx, fy, cx, cy = (float(part) for part in intrinsics)
+    fx, fy, cx, cy = (float(part) for part in view.intrinsics)
     lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    views = ((camera, errors[:, :6]), (older, errors[:, 6:]))
-    newest, before = (lens @ (exp_many(error) @ invert(view))[:, :3, [0, 1, 3]] for view, error in views)
-    return np.asarray(newest @ np.linalg.inv(before))
+    cameras = ((view.camera, errors[:, :6]), (ground["camera"], errors[:, 6:]))
+    newest, older = (lens @ (exp_many(error) @ invert(camera))[:, :3, [0, 1, 3]] for camera, error in cameras)
+    return np.asarray(newest @ np.linalg.inv(older))
 
 
-def _derivatives(camera: Floats, older: Floats, at: Floats, intrinsics: Array, points: Array) -> Floats:
-    """(n, 2, 12) by how much points are found elsewhere in the older view, a unit of each error."""
-    there = _homographies(camera, older, at + _STEPS, intrinsics)
-    back = np.linalg.inv(_homographies(camera, older, at[None], intrinsics)[0])
-    ends = _carried(points, back @ there)
+def _derivatives(view: View, ground: Ground, at: Floats, points: NDArray[np.int64]) -> Floats:
+    """(n, 2, 12) by how much points are found elsewhere in the older image, a unit of each error."""
+    back = np.linalg.inv(_homographies(view, ground, at[None])[0])
+    ends = _carried(points, back @ _homographies(view, ground, at + _STEPS))
     return np.asarray((ends[:12] - ends[12:]).transpose(1, 2, 0) / (2.0 * _STEP))
 
 
@@ -228,8 +231,15 @@ def _structure(patches: NDArray[np.uint8]) -> Floats:
     return np.asarray(slopes.transpose(0, 2, 1) @ slopes)
 
 
+def _cells(gray: Gray) -> tuple[int, int]:
+    """Rows and columns of the cells of an image."""
+    height, width = gray.shape
+    return -(-height // _CELL), -(-width // _CELL)
+
+
 def _pixels(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns (n, s, s) of the pixels of patches."""
     away = np.arange(-_HALF, _HALF + 1)
     rows, columns = points[:, 1, None, None] + away[:, None], points[:, 0, None, None] + away
-    return np.broadcast_arrays(rows, columns)
+    shape = (len(points), len(away), len(away))
+    return np.broadcast_to(rows, shape), np.broadcast_to(columns, shape)

@@ -13,7 +13,7 @@ from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
-from hierax.nodes.tracking.estimation.fusion import Fused, Prior, fuse
+from hierax.nodes.tracking.estimation.fusion import Fused, Known, Prior, fuse
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
@@ -67,20 +67,13 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     return Task(image, controls, memory, intrinsics, start, near, prior)
 
 
-def prior_of(
-    objects: Sequence[TrackedObject],
-    motion: Floats,
-    joint: Floats | None,
-    mean: Floats | None = None,
-    older: slice | None = None,
-    sizes: Floats | None = None,
-) -> Prior:
+def prior_of(objects: Sequence[TrackedObject], motion: Floats, known: Known | None) -> Prior:
     """What is known before an image; motion: (6, 6) or (m, 6, 6) covariance of an object's deviation from its
-    prediction within a frame, when it is pushed; joint, mean, older and sizes: as `Prior` has them."""
+    prediction within a frame, when it is pushed; known: of all together; None: the camera's pose is exact."""
     covariance = np.stack([item["covariance"] for item in objects])
     motion_scale = np.array([_with_motion(item) for item in objects])
     trend = np.array([item["trend"] for item in objects])
-    return Prior(covariance, motion, motion_scale, trend, joint, mean, older, sizes)
+    return Prior(covariance, motion, motion_scale, trend, *(known or Known()))
 
 
 def explained(task: Task) -> Explained | None:

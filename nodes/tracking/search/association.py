@@ -14,8 +14,8 @@ from hierax.nodes.tracking.estimation.alignment import offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.certainty import right
-from hierax.nodes.tracking.estimation.drift import Sizes, together_of
-from hierax.nodes.tracking.estimation.fusion import Prior
+from hierax.nodes.tracking.estimation.drift import together_of
+from hierax.nodes.tracking.estimation.fusion import Known, Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
     Explained,
     Task,
@@ -80,14 +80,7 @@ class Associated(NamedTuple):
 
 
 def associate(
-    image: Image,
-    objects: Sequence[TrackedObject],
-    joint: Floats | None,
-    intrinsics: Array,
-    options: Options,
-    mean: Floats | None = None,
-    older: slice | None = None,
-    sizes: Sizes | None = None,
+    image: Image, objects: Sequence[TrackedObject], known: Known | None, intrinsics: Array, options: Options
 ) -> Associated | None:
     """The poses that explain an image.
 
@@ -95,15 +88,13 @@ def associate(
         image: of `hierax.nodes.tracking.estimation.profiles.smoothed`.
         objects: each with "pose" (predicted camera_from_object), "before" (where it would be if it
             had not moved), "covariance", "motion_scale", "probation", "controls", "slots", "failed_searches" and "id".
-        joint: covariance of the camera's error and of the objects', as `hierax.nodes.tracking.estimation.fusion.Prior`
-            has it; None where the camera's pose is exact; mean, older: likewise; sizes: what is told of
-            those beforehand.
+        known: of the camera's error and the objects' together; None where the camera's pose is exact.
         intrinsics: (4,) fx, fy, cx, cy in pixels; options: how far things go.
 
     Returns:
         None where nothing is expected in the image.
     """
-    prior = prior_of(objects, options.motion, joint, mean, older, None if sizes is None else sizes.told)
+    prior = prior_of(objects, options.motion, known)
     task = task_of(image, objects, prior, intrinsics)
     best = explained(task)
     if best is None:
@@ -131,7 +122,7 @@ def associate(
     counts = [max(0, item["failed_searches"] + (1 if at in doubtful else -1)) for at, item in enumerate(objects)]
     failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(counts)]
     estimates = _estimates(found, learned, failed_searches)
-    together = together_of(objects, kept, best.fused.joint, 1.0 if sizes is None else sizes.alike)
+    together = together_of(objects, kept, best.fused.joint)
     return Associated(shift, best.fused.drift, estimates, together, best.fused.older)
 
 
