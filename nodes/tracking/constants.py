@@ -184,8 +184,10 @@ FAILED_AT_ONCE, FAILED_EVERY = 5, 8  # what was not found in so many images is l
 AT_ONCE, GUESSES = 8, 3  # poses that are imagined of a body for one image, and that are kept of it
 NEARLY_DOWN = 0.5  # cosine: on faces no farther from down one is imagined to rest that is seen where it cannot
 # The table's texture: points of an image; how weak a corner may be beside the strongest one; how far away it may be, in
-# heights of the camera; the share of points below which another image is looked at from then on.
-TEXTURE_POINTS, TEXTURE_CORNER, TEXTURE_FAR, TEXTURE_KEPT = 64, 0.01, 8.0, 0.5
+# heights of the camera; the share of points below which another image is looked at from then on; by which share of its
+# contrast a patch may look otherwise; pixels from a patch's middle to its end, and to that of what is looked for.
+TEXTURE_POINTS, TEXTURE_CORNER, TEXTURE_FAR, TEXTURE_KEPT, TEXTURE_OTHER = 64, 0.01, 8.0, 0.5, 0.5
+PATCH_PX, WINDOW_PX = 20, 7
 JUDGED_EVERY = 15  # images until a model that does not do so well is judged again
 
 # ---- Effort: without first poses ----
@@ -204,6 +206,9 @@ TRY_PX, TRY_RAD = 5.0, 0.09  # steps of the closer look
 
 LEAST_CHANCE = 0.02  # control points that are less likely to be seen are left out
 SAMPLES = np.random.default_rng(0).normal(size=(512, 6))  # of which probabilities are shares
+COVER_PX = 8  # side of a cell that something covers, or nothing
+ERROR_STEP, TEXTURE_ITERATIONS = 1e-5, 5  # m and rad, of derivatives; reweighted least squares
+TWO_MEDIAN = 1.386  # of the squared length of what is normally distributed in two dimensions, of variance 1
 SAME_SIZE = 1e-6  # standard deviation of how large what is told to be exact is, as a share: none, but for the inverse
 EASE = 1e-3  # share of the prior that is counted as seen, so that what no edge shows stays finite
 MOST_ROWS = 30_000  # OpenCV takes less than 32768 rows at a time

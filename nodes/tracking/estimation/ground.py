@@ -22,15 +22,6 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, 
 from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import Ground, Imagery, Texture
 
-_HALF = 20  # pixels from the middle of a patch to its end
-_CELL = 8  # pixels of a side of what is covered, or is not
-_STEP = 1e-5  # m and rad, of derivatives
-_STEPS = _STEP * np.concatenate((np.eye(12), -np.eye(12)))
-_REACH = 7  # pixels from the middle of a window that is looked for to its end
-_WINDOW = (2 * _REACH + 1, 2 * _REACH + 1)
-_ITERATIONS = 5
-_MEDIAN = 1.386  # of the squared length of what is normally distributed in two dimensions
-
 Gray = NDArray[np.uint8]
 
 
@@ -107,13 +98,17 @@ def ground_of(view: View, covered: Gray) -> Ground | None:
     """Corners of the table's texture, where nothing is expected to stand. None: there are too few."""
     height, width = view.gray.shape
     cells = np.stack(np.meshgrid(*(np.arange(count) for count in covered.shape[::-1])), axis=-1)
-    towards = rays(_CELL * (cells + 0.5), view.intrinsics) @ view.camera[2, :3]
+    towards = rays(const.COVER_PX * (cells + 0.5), view.intrinsics) @ view.camera[2, :3]
     free = (-towards * const.TEXTURE_FAR > 1.0) & (covered == 0)
-    free = free.repeat(_CELL, axis=0).repeat(_CELL, axis=1)[:height, :width]
+    free = free.repeat(const.COVER_PX, axis=0).repeat(const.COVER_PX, axis=1)[:height, :width]
     inside = np.zeros_like(view.gray)
-    inside[_HALF:-_HALF, _HALF:-_HALF] = free[_HALF:-_HALF, _HALF:-_HALF]
+    inside[const.PATCH_PX : -const.PATCH_PX, const.PATCH_PX : -const.PATCH_PX] = free[
+        const.PATCH_PX : -const.PATCH_PX, const.PATCH_PX : -const.PATCH_PX
+    ]
     most, weakest = const.TEXTURE_POINTS, const.TEXTURE_CORNER
-    found = cv2.goodFeaturesToTrack(view.gray, most, weakest, _HALF, mask=inside, blockSize=_HALF // 3)
+    found = cv2.goodFeaturesToTrack(
+        view.gray, most, weakest, const.PATCH_PX, mask=inside, blockSize=const.PATCH_PX // 3
+    )
     if found is None or len(found) < const.LEAST_SHOWN:
         return None
     points = np.rint(found[:, 0]).astype(np.int64)
@@ -139,7 +134,8 @@ def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said
         shown = np.nonzero(_shown(ground["points"], back, covered, view.gray.shape))[0]
         if len(shown) < const.LEAST_SHOWN:
             return None
-        rows, off = _found(canvas, view.gray, back, ground["points"][shown], level)
+        contrasts = _contrasts(ground["patches"][shown])
+        rows, off = _found(canvas, view.gray, back, ground["points"][shown], contrasts, level)
         rows = shown[rows]
         if len(rows) < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
             return None
@@ -150,16 +146,20 @@ def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said
     return _Said(fit.information, fit.right, fit.found / len(ground["points"]))
 
 
-def _found(canvas: Gray, gray: Gray, back: Floats, points: NDArray[np.int64], level: int) -> tuple[Indices, Floats]:
+def _found(
+    canvas: Gray, gray: Gray, back: Floats, points: NDArray[np.int64], contrasts: Floats, level: int
+) -> tuple[Indices, Floats]:
     """Which points (k,) of the older image are found, and how far (k, 2) beside where they should be, pixels."""
     seen = cv2.warpPerspective(gray, back, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     rows, columns = points[:, 1], points[:, 0]
     brighter = float(seen[rows, columns].mean()) / max(float(canvas[rows, columns].mean()), 1.0)
     like = cv2.convertScaleAbs(canvas, alpha=brighter)
-    start = points.astype(np.float32)
-    ends, found, _ = cv2.calcOpticalFlowPyrLK(like, seen, start, start.copy(), winSize=_WINDOW, maxLevel=level)
+    start, side = points.astype(np.float32), 2 * const.WINDOW_PX + 1
+    found = cv2.calcOpticalFlowPyrLK(like, seen, start, start.copy(), winSize=(side, side), maxLevel=level)
+    ends, status, apart = (np.asarray(each) for each in found)
     off = (ends - start).astype(np.float64)
-    kept = np.nonzero((found[:, 0] == 1) & (np.abs(off).max(axis=1) < _REACH))[0]
+    alike = apart[:, 0] < const.TEXTURE_OTHER * contrasts
+    kept = np.nonzero((status[:, 0] == 1) & alike & (np.abs(off).max(axis=1) < const.WINDOW_PX))[0]
     return kept, off[kept]
 
 
@@ -170,13 +170,13 @@ def _fitted(off: Floats, leads: Floats, slopes: Floats, known: Floats, begun: Fl
     leads = whitening @ leads
     target = (whitening @ off[..., None])[..., 0] + leads @ begun
     fit = _Fit(begun, known, np.zeros(12), 0)
-    for _ in range(_ITERATIONS):
+    for _ in range(const.TEXTURE_ITERATIONS):
         left = target - leads @ fit.errors
         squares = (left * left).sum(axis=1)
         usual = max(float(np.median(squares)), 1e-9)
         weights = np.maximum(1.0 - squares / (const.SPREADS**2 * usual), 0.0) ** 2
         # The older image's noise is the same in all that comes after.
-        weighed = leads * (weights * (_MEDIAN / (usual * const.OFFSET_FRAMES)))[:, None, None]
+        weighed = leads * (weights * (const.TWO_MEDIAN / (usual * const.OFFSET_FRAMES)))[:, None, None]
         weighed = weighed.reshape(-1, 12).T
         information, right = weighed @ leads.reshape(-1, 12), weighed @ target.reshape(-1)
         fit = _Fit(np.linalg.solve(information + known, right), information, right, int((weights > 0.0).sum()))
@@ -205,8 +205,9 @@ def _homographies(view: View, ground: Ground, errors: Floats) -> Floats:
 def _derivatives(view: View, ground: Ground, at: Floats, points: NDArray[np.int64]) -> Floats:
     """(n, 2, 12) by how much points are found elsewhere in the older image, a unit of each error."""
     back = np.linalg.inv(_homographies(view, ground, at[None])[0])
-    ends = _carried(points, back @ _homographies(view, ground, at + _STEPS))
-    return np.asarray((ends[:12] - ends[12:]).transpose(1, 2, 0) / (2.0 * _STEP))
+    steps = const.ERROR_STEP * np.concatenate((np.eye(12), -np.eye(12)))
+    ends = _carried(points, back @ _homographies(view, ground, at + steps))
+    return np.asarray((ends[:12] - ends[12:]).transpose(1, 2, 0) / (2.0 * const.ERROR_STEP))
 
 
 def _carried(points: Array, by: Floats) -> Floats:
@@ -218,14 +219,26 @@ def _carried(points: Array, by: Floats) -> Floats:
 def _shown(points: Array, by: Floats, covered: Gray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """(n,) which points of the older image are in the newest one, where nothing is expected to stand."""
     ends = _carried(points, by)
-    inside = np.all((ends >= _HALF) & (ends < np.array(shape[::-1]) - _HALF), axis=1)
-    cells = np.clip(ends / _CELL, 0, np.array(covered.shape[::-1]) - 1).astype(np.int64)
+    inside = np.all((ends >= const.PATCH_PX) & (ends < np.array(shape[::-1]) - const.PATCH_PX), axis=1)
+    cells = np.clip(ends / const.COVER_PX, 0, np.array(covered.shape[::-1]) - 1).astype(np.int64)
     return np.asarray(inside & (covered[cells[:, 1], cells[:, 0]] == 0))
+
+
+def _middles(patches: NDArray[np.uint8], reach: int) -> Floats:
+    """(n, s, s) what of patches is so near to their middles."""
+    view = slice(const.PATCH_PX - reach, const.PATCH_PX + reach + 1)
+    return patches[:, view, view].astype(np.float64)
+
+
+def _contrasts(patches: NDArray[np.uint8]) -> Floats:
+    """(n,) by how many grey levels pixels about the middles of patches are beside their mean."""
+    middle = _middles(patches, const.WINDOW_PX)
+    return np.asarray(np.abs(middle - middle.mean(axis=(1, 2), keepdims=True)).mean(axis=(1, 2)))
 
 
 def _structure(patches: NDArray[np.uint8]) -> Floats:
     """(n, 2, 2) sums of the products of slopes about the middles of patches, grey levels² a pixel²."""
-    middle = patches[:, _HALF - _REACH - 1 : _HALF + _REACH + 2, _HALF - _REACH - 1 : _HALF + _REACH + 2].astype(float)
+    middle = _middles(patches, const.WINDOW_PX + 1)
     down, right = np.gradient(middle, axis=(1, 2))
     slopes = np.stack((right, down), axis=-1)[:, 1:-1, 1:-1].reshape(len(patches), -1, 2)
     return np.asarray(slopes.transpose(0, 2, 1) @ slopes)
@@ -234,12 +247,12 @@ def _structure(patches: NDArray[np.uint8]) -> Floats:
 def _cells(gray: Gray) -> tuple[int, int]:
     """Rows and columns of the cells of an image."""
     height, width = gray.shape
-    return -(-height // _CELL), -(-width // _CELL)
+    return -(-height // const.COVER_PX), -(-width // const.COVER_PX)
 
 
 def _pixels(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns (n, s, s) of the pixels of patches."""
-    away = np.arange(-_HALF, _HALF + 1)
+    away = np.arange(-const.PATCH_PX, const.PATCH_PX + 1)
     rows, columns = points[:, 1, None, None] + away[:, None], points[:, 0, None, None] + away
     shape = (len(points), len(away), len(away))
     return np.broadcast_to(rows, shape), np.broadcast_to(columns, shape)

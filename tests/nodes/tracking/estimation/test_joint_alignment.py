@@ -8,6 +8,7 @@ from support.drawn import BOXES, all_expected
 
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.estimation.drift import joint_of
+from hierax.nodes.tracking.estimation.fusion import Known
 from hierax.nodes.tracking.estimation.joint_alignment import Explained, explained, explained_again, prior_of, task_of
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.math.batched import exp_many
@@ -59,7 +60,7 @@ def one_off(shift: np.ndarray) -> tuple[Explained, Explained | None]:
     items = [{**item, "motion_scale": 0.02} for item in all_expected(BOXES, [shift @ box.pose for box in BOXES])]
     for item in items:
         item["covariance"] = np.diag([0.0004**2] * 3 + [0.004**2] * 3)
-    prior = prior_of(items, MOTION, joint_of(items, None, REPORTS))
+    prior = prior_of(items, MOTION, Known(joint_of(items, None, REPORTS)))
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(4)))
     task = task_of(image, items, prior, INTRINSICS)
     assert task.search.reach_px == (8,)

@@ -10,6 +10,7 @@ from support.boxes import INTRINSICS, photograph
 from support.drawn import BOXES, FIRST, all_expected, expected
 
 from hierax.nodes.tracking.estimation.drift import joint_of
+from hierax.nodes.tracking.estimation.fusion import Known
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.math.geometry import exp_se3, pose_error
 from hierax.nodes.tracking.search import association
@@ -44,7 +45,7 @@ def test_what_all_objects_do_together_is_the_cameras_error() -> None:
         for item in all_expected(BOXES, [error @ box.pose for box in BOXES])
     ]
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(6)))
-    found = associate(image, known, joint_of(known, None, REPORTS), INTRINSICS, OPTIONS)
+    found = associate(image, known, Known(joint_of(known, None, REPORTS)), INTRINSICS, OPTIONS)
     assert found is not None
     shift = found.shift
     for estimate, item, box in zip(found.estimates, known, BOXES, strict=True):
@@ -105,7 +106,7 @@ def test_nothing_is_said_where_nothing_is_expected_in_the_image() -> None:
 def test_equal_to_the_bit_when_done_again() -> None:
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(9)))
     known = all_expected(BOXES, [box.pose @ exp_se3(np.full(6, 0.003)) for box in BOXES])
-    joint = joint_of(known, None, REPORTS)
+    joint = Known(joint_of(known, None, REPORTS))
     first, second = (associate(image, known, joint, INTRINSICS, OPTIONS) for _ in range(2))
     assert first is not None
     assert second is not None
