@@ -65,14 +65,18 @@ def _around(box: Box, intrinsics: np.ndarray[Any, Any], size: tuple[int, int]) -
     return slice(low[1], high[1]), slice(low[0], high[0])
 
 
-def photograph(boxes: Sequence[Box], noise: float, rng: np.random.Generator) -> np.ndarray[Any, Any]:
-    """A gray image of boxes whose faces have different shades, area-sampled 3 × 3, with noise."""
+def photograph(
+    boxes: Sequence[Box], noise: float, rng: np.random.Generator, behind: np.ndarray[Any, Any] | None = None
+) -> np.ndarray[Any, Any]:
+    """A gray image of boxes whose faces have different shades, area-sampled 3 × 3, with noise; behind: (h, w) grey
+    levels of what is behind them."""
     factor = 3
     fx, fy, cx, cy = INTRINSICS
     fine = np.array([fx * factor, fy * factor, factor * (cx + 0.5) - 0.5, factor * (cy + 0.5) - 0.5])
     width, height = SIZE
     seen = cast(boxes, fine, (width * factor, height * factor))
     shades = np.array([60.0, 90.0, 130.0, 160.0, 200.0, 230.0])
-    shade = np.where(seen.labels > 0, shades[(seen.faces + seen.labels) % 6], 110.0)
+    ground = 110.0 if behind is None else behind.repeat(factor, axis=0).repeat(factor, axis=1)
+    shade = np.where(seen.labels > 0, shades[(seen.faces + seen.labels) % 6], ground)
     image = shade.reshape(height, factor, width, factor).mean(axis=(1, 3))
     return np.clip(image + noise * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)

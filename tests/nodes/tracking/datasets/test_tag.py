@@ -139,7 +139,7 @@ def test_a_scene_without_camera_poses_is_tracked_by_its_tag_as_with_them(scene: 
     for told, tagged, each in zip(with_poses, by_tag, both, strict=True):
         assert told.within((5.0, 5.0))[1:].all()
         assert tagged.within((2.0, 2.0))[2:].all(), tagged.distance_mm
-        assert np.median(each.distance_mm[1:]) < np.median(told.distance_mm[1:]) + 1.0
+        assert np.median(each.distance_mm[1:]) < np.median(told.distance_mm[1:]) + 1.5
 
 
 @pytest.mark.slow

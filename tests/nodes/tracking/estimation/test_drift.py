@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from support.boxes import INTRINSICS, Box, photograph
 from support.drawn import BOXES, all_expected
+from support.tables import table_seen
 
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.estimation.drift import joint_of, lasting, together_of
+from hierax.nodes.tracking.estimation.drift import joint_of, lasting, sizes_of, together_of
 from hierax.nodes.tracking.estimation.fusion import Rows
 from hierax.nodes.tracking.math.geometry import exp_se3, invert, looking_down, make_pose, pose_error
 from hierax.nodes.tracking.model.mesh import box_mesh
@@ -127,9 +128,12 @@ class Followed(NamedTuple):
     away_mm: np.ndarray[Any, Any]  # by how much the camera is believed elsewhere than it is
 
 
-def followed(seed: int, larger: float = 1.0, shaky: float = 1.0, pushed_m: float = 0.0, **options: Any) -> Followed:
+def followed(
+    seed: int, larger: float = 1.0, shaky: float = 1.0, pushed_m: float = 0.0, marked: bool = False, **options: Any
+) -> Followed:
     """Boxes stand on a table, and are so much larger than their models are; the camera errs by such a share of
-    `JITTER`. Three images from the end all boxes are pushed so far at once. Options are those of `ArmNode`."""
+    `JITTER`. Three images from the end all boxes are pushed so far at once. The table has a texture if it is marked.
+    Options are those of `ArmNode`."""
     rng = np.random.default_rng(seed)
     stand = zip(PLACES, SIDES, strict=True)
     boxes = [make_pose(np.eye(3), np.array([x, y, larger * z / 2])) for (x, y), (_, _, z) in stand]
@@ -150,7 +154,13 @@ def followed(seed: int, larger: float = 1.0, shaky: float = 1.0, pushed_m: float
         true = [invert(camera) @ pose for pose in boxes]
         sides = [(larger * x, larger * y, larger * z) for x, y, z in SIDES]
         drawn = [Box(at, side, pose) for at, (side, pose) in enumerate(zip(sides, true, strict=True), start=1)]
-        seen = {"image": photograph(drawn, 1.0, rng), "camera": report, "intrinsics": INTRINSICS, "frame": number}
+        behind = table_seen(camera) if marked else None
+        seen = {
+            "image": photograph(drawn, 1.0, rng, behind),
+            "camera": report,
+            "intrinsics": INTRINSICS,
+            "frame": number,
+        }
         low = arm.observe((seen,), low)
         said.append(tilted(report, camera))
         believed.append(tilted(low["camera"], camera))
@@ -174,6 +184,39 @@ def test_the_cameras_place_over_the_table_does_not_follow_each_report(seed: int)
     found = followed(seed)
     assert np.sqrt((found.believed**2).mean()) < 0.6 * np.sqrt((found.said**2).mean()), f"seed {seed}"
     assert found.off_mm.max() < 2.0, f"seed {seed}"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_tables_texture_tells_how_the_camera_is_tilted(seed: int) -> None:
+    blind, seeing = (followed(seed, marked=True, table_texture=told) for told in (False, True))
+    assert np.sqrt((seeing.believed**2).mean()) < 0.5 * np.sqrt((blind.believed**2).mean()), f"seed {seed}"
+    assert seeing.off_mm.max() < 2.0, f"seed {seed}"
+
+
+@pytest.mark.parametrize(("off", "alike"), [((0.0, 0.0), 0.7), ((0.01, 0.01), 1.3)])
+def test_how_far_models_are_from_what_they_are_of_is_learned_from_all(off: tuple[float, float], alike: float) -> None:
+    """Of two that are known to be as large as told, or by how much they are not; as if one more were as expected."""
+    items = standing()
+    items = [{**item, "slots": {**item["slots"], "size": 1.0 + by}} for item, by in zip(items, off, strict=True)]
+    known = np.diag([1e-8] * 20)
+    together = together_of(items, [0, 1], known)
+    sizes = sizes_of(items, together, 1.0)
+    assert abs(sizes.alike - alike) < 0.15
+    assert sizes.alike == pytest.approx(np.sqrt((1.0 + 2.0 * (off[0] ** 2 + 1e-8) / 0.007**2) / 3.0))
+    np.testing.assert_allclose(sizes.told[:, 0], (sizes.alike**-2 - 1.0) / 0.007**2)
+    np.testing.assert_allclose(sizes.told[:, 1], [1.0 / (1.0 + by) - 1.0 for by in off], atol=1e-12)
+    again = sizes_of(items, together, sizes.alike)
+    assert again.alike == sizes.alike
+    np.testing.assert_array_equal(again.told[:, 0], 0.0)
+
+
+def test_nothing_is_learned_of_sizes_before_the_first_image_or_of_what_is_lost() -> None:
+    items = standing()
+    assert sizes_of(items, None, 0.6).alike == 0.6
+    together = together_of(items, [0, 1], np.diag([1e-8] * 20))
+    lost = sizes_of([items[0], {**items[1], "status": "lost"}], together, 1.0)
+    assert lost.told[0, 0] > 0.0
+    np.testing.assert_array_equal(lost.told[1], 0.0)
 
 
 @pytest.mark.parametrize("larger", [0.99, 1.01])
