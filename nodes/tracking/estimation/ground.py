@@ -6,8 +6,8 @@ how it is tilted towards the table: what objects' edges tell but roughly, as eac
 How high the camera is the texture does not say. The older camera's error is part of what is estimated (stochastic
 cloning: Roumeliotis and Burdick, 2002), as what both images have in common tells of both.
 
-Patches about corners of the older image are found in the newest one, which is first taken back to the older view
-(Lucas and Kanade, 1981; OpenCV's). What moves otherwise, as what stands on the table, Tukey's weight leaves out."""
+The newest image is taken back to the older view, and patches of both compared there. What moves otherwise, as what
+stands on the table, Tukey's weight leaves out."""
 
 from typing import NamedTuple
 
@@ -126,49 +126,57 @@ class _Fit(NamedTuple):
 
 def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said | None:
     """What the texture says; spread: (12, 12) covariance of the errors. None: too little of it is found."""
-    canvas = np.zeros_like(view.gray)
-    canvas[_pixels(ground["points"])] = ground["patches"]
     known, fit = inverse(spread), _Fit(np.zeros(12), np.zeros((12, 12)), np.zeros(12), 0)
-    for level in (1, 0):  # of a pyramid: near first, then exactly
+    for blur in const.TEXTURE_BLURS_PX:
         back = _homographies(view, ground, fit.errors[None])[0]  # from the older image's pixels
         shown = np.nonzero(_shown(ground["points"], back, covered, view.gray.shape))[0]
         if len(shown) < const.LEAST_SHOWN:
             return None
-        contrasts = _contrasts(ground["patches"][shown])
-        rows, off = _found(canvas, view.gray, back, ground["points"][shown], contrasts, level)
-        rows = shown[rows]
-        if len(rows) < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
-            return None
-        leads = _derivatives(view, ground, fit.errors, ground["points"][rows])
-        fit = _fitted(off, leads, _structure(ground["patches"][rows]), known, fit.errors)
-        if fit.found < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
-            return None
+        points, patches = ground["points"][shown], ground["patches"][shown]
+        seen = cv2.warpPerspective(
+            view.gray, back, view.gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        )
+        flow = _flow(_blurred(patches, blur), _blurred(seen[_pixels(points)], blur))
+        leads = flow.whitening @ _derivatives(view, ground, fit.errors, points)
+        fit = _fitted(flow.target + leads @ fit.errors, leads, known, fit.errors)
+    if min(fit.found, int(flow.alike.sum())) < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
+        return None
     return _Said(fit.information, fit.right, fit.found / len(ground["points"]))
 
 
-def _found(
-    canvas: Gray, gray: Gray, back: Floats, points: NDArray[np.int64], contrasts: Floats, level: int
-) -> tuple[Indices, Floats]:
-    """Which points (k,) of the older image are found, and how far (k, 2) beside where they should be, pixels."""
-    seen = cv2.warpPerspective(gray, back, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    rows, columns = points[:, 1], points[:, 0]
-    brighter = float(seen[rows, columns].mean()) / max(float(canvas[rows, columns].mean()), 1.0)
-    like = cv2.convertScaleAbs(canvas, alpha=brighter)
-    start, side = points.astype(np.float32), 2 * const.WINDOW_PX + 1
-    found = cv2.calcOpticalFlowPyrLK(like, seen, start, start.copy(), winSize=(side, side), maxLevel=level)
-    ends, status, apart = (np.asarray(each) for each in found)
-    off = (ends - start).astype(np.float64)
-    alike = apart[:, 0] < const.TEXTURE_OTHER * contrasts
-    kept = np.nonzero((status[:, 0] == 1) & alike & (np.abs(off).max(axis=1) < const.WINDOW_PX))[0]
-    return kept, off[kept]
+class _Flow(NamedTuple):
+    """How far patches are beside where they should be, told across their slopes alone: along an edge nothing is."""
+
+    whitening: Floats  # (n, 2, 2) grey levels a pixel
+    target: Floats  # (n, 2) `whitening` @ pixels, each with the noise of one pixel's grey level
+    alike: NDArray[np.bool_]  # (n,) whether it is the same texture
 
 
-def _fitted(off: Floats, leads: Floats, slopes: Floats, known: Floats, begun: Floats) -> _Fit:
-    """Least squares over points (n, 2) that are off, by derivatives (n, 2, 12) at errors that are taken to be, with
-    what is known (12, 12) of them, and Tukey's weight."""
-    whitening = np.linalg.cholesky(slopes + 1e-6 * np.eye(2)).transpose(0, 2, 1)  # along a line nothing is told
-    leads = whitening @ leads
-    target = (whitening @ off[..., None])[..., 0] + leads @ begun
+def _flow(older: Floats, newer: Floats) -> _Flow:
+    """From patches (n, s, s) of two images (Lucas and Kanade, 1981; one step)."""
+    older, newer = (each - each.mean(axis=(1, 2), keepdims=True) for each in (older, newer))
+    brighter = float((older * newer).sum()) / max(float((older * older).sum()), 1e-9)
+    left = (newer - brighter * older)[:, 1:-1, 1:-1]
+    down, right = np.gradient(brighter * older, axis=(1, 2))
+    slopes = np.stack((right, down), axis=-1)[:, 1:-1, 1:-1].reshape(len(older), -1, 2)
+    lower = np.linalg.cholesky(slopes.transpose(0, 2, 1) @ slopes + 1e-6 * np.eye(2))
+    pull = -(slopes * left.reshape(len(older), -1, 1)).sum(axis=1)
+    target = np.linalg.solve(lower, pull[..., None])[..., 0]
+    alike = (left * left).mean(axis=(1, 2)) < const.TEXTURE_OTHER**2 * (older * older).mean(axis=(1, 2))
+    return _Flow(lower.transpose(0, 2, 1), target, alike)
+
+
+def _blurred(patches: NDArray[np.uint8], blur: float) -> Floats:
+    """(n, s, s) what is about the middles of patches, smoothed."""
+    rows = patches.astype(np.float32).reshape(-1, patches.shape[2])
+    smooth = cv2.GaussianBlur(rows, (0, 0), blur).reshape(patches.shape)  # patches touch, but for their middles
+    view = slice(const.PATCH_PX - const.WINDOW_PX, const.PATCH_PX + const.WINDOW_PX + 1)
+    return smooth[:, view, view].astype(np.float64)
+
+
+def _fitted(target: Floats, leads: Floats, known: Floats, begun: Floats) -> _Fit:
+    """Least squares over patches' targets (n, 2), by derivatives (n, 2, 12), with what is known (12, 12) of the errors,
+    and Tukey's weight; begun: errors (12,) that are taken to be."""
     fit = _Fit(begun, known, np.zeros(12), 0)
     for _ in range(const.TEXTURE_ITERATIONS):
         left = target - leads @ fit.errors
@@ -222,26 +230,6 @@ def _shown(points: Array, by: Floats, covered: Gray, shape: tuple[int, ...]) -> 
     inside = np.all((ends >= const.PATCH_PX) & (ends < np.array(shape[::-1]) - const.PATCH_PX), axis=1)
     cells = np.clip(ends / const.COVER_PX, 0, np.array(covered.shape[::-1]) - 1).astype(np.int64)
     return np.asarray(inside & (covered[cells[:, 1], cells[:, 0]] == 0))
-
-
-def _middles(patches: NDArray[np.uint8], reach: int) -> Floats:
-    """(n, s, s) what of patches is so near to their middles."""
-    view = slice(const.PATCH_PX - reach, const.PATCH_PX + reach + 1)
-    return patches[:, view, view].astype(np.float64)
-
-
-def _contrasts(patches: NDArray[np.uint8]) -> Floats:
-    """(n,) by how many grey levels pixels about the middles of patches are beside their mean."""
-    middle = _middles(patches, const.WINDOW_PX)
-    return np.asarray(np.abs(middle - middle.mean(axis=(1, 2), keepdims=True)).mean(axis=(1, 2)))
-
-
-def _structure(patches: NDArray[np.uint8]) -> Floats:
-    """(n, 2, 2) sums of the products of slopes about the middles of patches, grey levels² a pixel²."""
-    middle = _middles(patches, const.WINDOW_PX + 1)
-    down, right = np.gradient(middle, axis=(1, 2))
-    slopes = np.stack((right, down), axis=-1)[:, 1:-1, 1:-1].reshape(len(patches), -1, 2)
-    return np.asarray(slopes.transpose(0, 2, 1) @ slopes)
 
 
 def _cells(gray: Gray) -> tuple[int, int]:
