@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.fusion import Known, Rows
+from hierax.nodes.tracking.estimation.profiles import Singles
 from hierax.nodes.tracking.math.batched import exp_many, inverse
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, rays
 from hierax.nodes.tracking.model.controls import Indices
@@ -152,26 +153,26 @@ class _Flow(NamedTuple):
     alike: NDArray[np.bool_]  # (n,) whether it is the same texture
 
 
-def _flow(older: Floats, newer: Floats) -> _Flow:
+def _flow(older: Singles, newer: Singles) -> _Flow:
     """From patches (n, s, s) of two images (Lucas and Kanade, 1981; one step)."""
     older, newer = (each - each.mean(axis=(1, 2), keepdims=True) for each in (older, newer))
-    brighter = float((older * newer).sum()) / max(float((older * older).sum()), 1e-9)
-    left = (newer - brighter * older)[:, 1:-1, 1:-1]
-    down, right = np.gradient(brighter * older, axis=(1, 2))
-    slopes = np.stack((right, down), axis=-1)[:, 1:-1, 1:-1].reshape(len(older), -1, 2)
-    lower = np.linalg.cholesky(slopes.transpose(0, 2, 1) @ slopes + 1e-6 * np.eye(2))
-    pull = -(slopes * left.reshape(len(older), -1, 1)).sum(axis=1)
-    target = np.linalg.solve(lower, pull[..., None])[..., 0]
-    alike = (left * left).mean(axis=(1, 2)) < const.TEXTURE_OTHER**2 * (older * older).mean(axis=(1, 2))
+    brighter = float(np.vdot(older, newer)) / max(float(np.vdot(older, older)), 1e-9)
+    older = np.float32(brighter) * older
+    left = (newer - older)[:, 1:-1, 1:-1].reshape(len(older), -1)
+    right, down = older[:, 1:-1, 2:] - older[:, 1:-1, :-2], older[:, 2:, 1:-1] - older[:, :-2, 1:-1]
+    slopes = 0.5 * np.stack((right, down), axis=1).reshape(len(older), 2, -1)
+    lower = np.linalg.cholesky((slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + 1e-6 * np.eye(2))
+    target = -np.linalg.solve(lower, (slopes @ left[..., None]).astype(np.float64))[..., 0]
+    alike = (left * left).mean(axis=1) < const.TEXTURE_OTHER**2 * (older * older).mean(axis=(1, 2))
     return _Flow(lower.transpose(0, 2, 1), target, alike)
 
 
-def _blurred(patches: NDArray[np.uint8], blur: float) -> Floats:
+def _blurred(patches: NDArray[np.uint8], blur: float) -> Singles:
     """(n, s, s) what is about the middles of patches, smoothed."""
     rows = patches.astype(np.float32).reshape(-1, patches.shape[2])
     smooth = cv2.GaussianBlur(rows, (0, 0), blur).reshape(patches.shape)  # patches touch, but for their middles
     view = slice(const.PATCH_PX - const.WINDOW_PX, const.PATCH_PX + const.WINDOW_PX + 1)
-    return smooth[:, view, view].astype(np.float64)
+    return np.asarray(smooth[:, view, view])
 
 
 def _fitted(target: Floats, leads: Floats, known: Floats, begun: Floats) -> _Fit:
