@@ -207,6 +207,7 @@ TRY_PX, TRY_RAD = 5.0, 0.09  # steps of the closer look
 
 LEAST_CHANCE = 0.02  # control points that are less likely to be seen are left out
 SAMPLES = np.random.default_rng(0).normal(size=(512, 6))  # of which probabilities are shares
+EDGE_EASE = 1e-5  # share of a patch's slopes that is counted along its edge, where there are none
 COVER_PX = 8  # side of a cell that something covers, or nothing
 ERROR_STEP, TEXTURE_ITERATIONS = 1e-5, 5  # m and rad, of derivatives; reweighted least squares
 TWO_MEDIAN = 1.386  # of the squared length of what is normally distributed in two dimensions, of variance 1

@@ -61,7 +61,7 @@ def told_by(view: View, texture: Texture, joint: Floats) -> Told:
     `Known` has it."""
     view = view._replace(image=view.gray)
     ground, said, known = texture["ground"], None, Known(joint)
-    if texture["covered"].shape != _cells(view.gray):  # of another camera
+    if texture["covered"].shape != _cells(view.gray) or view.camera[2, 3] <= 0.0:  # of another camera, or from below
         return Told(known, None)
     if ground is not None:
         joint, rows = np.array(joint), np.r_[Rows.error, len(joint) - 6 : len(joint)]
@@ -137,7 +137,7 @@ def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said
         seen = cv2.warpPerspective(
             view.gray, back, view.gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         )
-        flow = _flow(_blurred(patches, blur), _blurred(seen[_pixels(points)], blur))
+        flow = _flow(_blurred(patches, blur), _blurred(np.asarray(seen[_pixels(points)], dtype=np.uint8), blur))
         leads = flow.whitening @ _derivatives(view, ground, fit.errors, points)
         fit = _fitted(flow.target + leads @ fit.errors, leads, known, fit.errors)
     if min(fit.found, int(flow.alike.sum())) < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
@@ -161,7 +161,9 @@ def _flow(older: Singles, newer: Singles) -> _Flow:
     left = (newer - older)[:, 1:-1, 1:-1].reshape(len(older), -1)
     right, down = older[:, 1:-1, 2:] - older[:, 1:-1, :-2], older[:, 2:, 1:-1] - older[:, :-2, 1:-1]
     slopes = 0.5 * np.stack((right, down), axis=1).reshape(len(older), 2, -1)
-    lower = np.linalg.cholesky((slopes @ slopes.transpose(0, 2, 1)).astype(np.float64) + 1e-6 * np.eye(2))
+    products = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64)
+    traces = np.trace(products, axis1=1, axis2=2)[:, None, None]
+    lower = np.linalg.cholesky(products + (const.EDGE_EASE * traces + const.EDGE_EASE) * np.eye(2))
     target = -np.linalg.solve(lower, (slopes @ left[..., None]).astype(np.float64))[..., 0]
     alike = (left * left).mean(axis=1) < const.TEXTURE_OTHER**2 * (older * older).mean(axis=(1, 2))
     return _Flow(lower.transpose(0, 2, 1), target, alike)
@@ -228,7 +230,8 @@ def _carried(points: Array, by: Floats) -> Floats:
 def _shown(points: Array, by: Floats, covered: Gray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """(n,) which points of the older image are in the newest one, where nothing is expected to stand."""
     ends = _carried(points, by)
-    inside = np.all((ends >= const.PATCH_PX) & (ends < np.array(shape[::-1]) - const.PATCH_PX), axis=1)
+    before = np.column_stack((points, np.ones(len(points)))) @ by[2] > 0.0
+    inside = before & np.all((ends >= const.PATCH_PX) & (ends < np.array(shape[::-1]) - const.PATCH_PX), axis=1)
     cells = np.clip(ends / const.COVER_PX, 0, np.array(covered.shape[::-1]) - 1).astype(np.int64)
     return np.asarray(inside & (covered[cells[:, 1], cells[:, 0]] == 0))
 

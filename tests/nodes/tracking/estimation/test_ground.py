@@ -121,6 +121,33 @@ def test_pictures_of_another_size_have_no_older_one() -> None:
     assert (told.ground, told.known.mean, told.known.older) == (None, None, None)
 
 
+def test_a_table_seen_from_below_or_behind_the_camera_says_nothing() -> None:
+    known = texture()
+    below = NEWER.copy()
+    below[2, 3] = -0.1
+    told = told_by(View(picture(NEWER), below, INTRINSICS), known, joint(LOOSE, TIGHT))
+    assert (told.ground, told.known.mean) == (None, None)
+    away = looking_down(0.4, -0.5, 0.45, np.array([0.0, 0.0, 1.0]))  # upwards, the points behind it
+    told = told_by(View(picture(NEWER), away, INTRINSICS), known, joint(LOOSE, TIGHT))
+    assert told.known.mean is None
+
+
+def test_a_straight_edge_tells_what_is_across_it() -> None:
+    """Black and white halves have no slope along their border; nothing but that is told, and nothing fails."""
+    shades = np.where(np.arange(SIZE[0]) < SIZE[0] // 2, 20, 230).astype(np.uint8)
+    image = np.broadcast_to(shades, SIZE[::-1]).copy()
+    column = np.full(16, SIZE[0] // 2)
+    points = np.stack((column, np.linspace(40, SIZE[1] - 40, 16).astype(np.int64)), axis=1)
+    patches = np.stack([image[y - 20 : y + 21, x - 20 : x + 21] for x, y in points])
+    known: Any = {"covered": FREE, "ground": {"camera": OLDER, "points": points, "patches": patches}, "alike": 1.0}
+    told = told_by(View(image, OLDER, INTRINSICS), known, joint(LOOSE, TIGHT))
+    assert told.known.joint is not None
+    after, before = (np.diag(each)[Rows.error] for each in (told.known.joint, joint(LOOSE, TIGHT)))
+    assert np.isfinite(told.known.joint).all()
+    assert (after < 1.001 * before).all()
+    assert after.min() < 0.5 * before.min()
+
+
 def test_an_older_camera_is_corrected_and_a_newer_one_is_where_the_image_has_it() -> None:
     ground = texture()["ground"]
     np.testing.assert_array_equal(corrected(ground, NEWER, True, ERROR)["camera"], NEWER)
