@@ -188,7 +188,9 @@ NEARLY_DOWN = 0.5  # cosine: on faces no farther from down one is imagined to re
 # contrast a patch may look otherwise; pixels from a patch's middle to its end, and to that of what is looked for.
 TEXTURE_POINTS, TEXTURE_CORNER, TEXTURE_FAR, TEXTURE_KEPT, TEXTURE_OTHER = 64, 0.01, 8.0, 0.5, 0.5
 PATCH_PX, WINDOW_PX = 20, 12
-TEXTURE_BLURS_PX = (2.5, 0.8)  # standard deviations by which both images are smoothed, step by step
+# Standard deviations by which both images are smoothed, one after the other; steps with each at most, until one moves
+# points by less than this.
+TEXTURE_BLURS_PX, TEXTURE_STEPS, TEXTURE_SETTLED_PX = (2.5, 0.8), 4, 0.3
 JUDGED_EVERY = 15  # images until a model that does not do so well is judged again
 
 # ---- Effort: without first poses ----

@@ -128,21 +128,32 @@ class _Fit(NamedTuple):
 def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said | None:
     """What the texture says; spread: (12, 12) covariance of the errors. None: too little of it is found."""
     known, fit = inverse(spread), _Fit(np.zeros(12), np.zeros((12, 12)), np.zeros(12), 0)
+    least = const.LEAST_SHOWN
     for blur in const.TEXTURE_BLURS_PX:
-        back = _homographies(view, ground, fit.errors[None])[0]  # from the older image's pixels
-        shown = np.nonzero(_shown(ground["points"], back, covered, view.gray.shape))[0]
-        if len(shown) < const.LEAST_SHOWN:
-            return None
-        points, patches = ground["points"][shown], ground["patches"][shown]
-        seen = cv2.warpPerspective(
-            view.gray, back, view.gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        )
-        flow = _flow(_blurred(patches, blur), _blurred(np.asarray(seen[_pixels(points)], dtype=np.uint8), blur))
-        leads = flow.whitening @ _derivatives(view, ground, fit.errors, points)
-        fit = _fitted(flow.target + leads @ fit.errors, leads, known, fit.errors)
-    if min(fit.found, int(flow.alike.sum())) < max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown)):
+        moved_px = np.inf
+        for _ in range(const.TEXTURE_STEPS):
+            if moved_px < const.TEXTURE_SETTLED_PX:
+                break
+            back = _homographies(view, ground, fit.errors[None])[0]  # from the older image's pixels
+            shown = np.nonzero(_shown(ground["points"], back, covered, view.gray.shape))[0]
+            least = max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown))
+            if len(shown) < least:
+                return None
+            flow = _flow_between(view.gray, back, ground, shown, blur)
+            leads = _derivatives(view, ground, fit.errors, ground["points"][shown])
+            whitened, before = flow.whitening @ leads, fit.errors
+            fit = _fitted(flow.target + whitened @ before, whitened, known, before)
+            moved_px = float(np.median(np.linalg.norm(leads @ (fit.errors - before), axis=1)))
+    if moved_px >= const.TEXTURE_SETTLED_PX or min(fit.found, int(flow.alike.sum())) < least:
         return None
     return _Said(fit.information, fit.right, fit.found / len(ground["points"]))
+
+
+def _flow_between(gray: Gray, back: Floats, ground: Ground, shown: Indices, blur: float) -> "_Flow":
+    """How far patches that are shown are elsewhere in an image, which is taken back to the older view first."""
+    seen = cv2.warpPerspective(gray, back, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    newer = np.asarray(seen[_pixels(ground["points"][shown])], dtype=np.uint8)
+    return _flow(_blurred(ground["patches"][shown], blur), _blurred(newer, blur))
 
 
 class _Flow(NamedTuple):
