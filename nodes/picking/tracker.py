@@ -20,8 +20,14 @@ from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 # Of the arm: standard deviations of where joints say that the camera is, in each axis, from one image to the next, and
 # in the long run; cubes are as their models. The table's texture, which would add little, is not looked at.
-KNOWN = {"camera_m": 0.0002, "camera_rad": 0.0003, "drift_m": 0.001, "drift_rad": 0.001, "model_tolerance_mm": 0.0}
-KNOWN |= {"table_texture": False}
+KNOWN = {
+    "camera_m": 0.0002,
+    "camera_rad": 0.0003,
+    "drift_m": 0.001,
+    "drift_rad": 0.001,
+    "model_tolerance_mm": 0.0,
+    "table_texture": False,
+}
 
 
 class PickArm(CommandedNode, ArmNode):

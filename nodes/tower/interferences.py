@@ -50,8 +50,8 @@ class Scene(NamedTuple):
     wanted: int | None  # the one that comes next; None: no tower is to be built any more
     hidden: frozenset[int]  # cubes of which the robot's camera does not see the middle
     rng: np.random.Generator
-    whole: int = 0  # how many cubes the tower that is being built has once it is done
-    drawn: float = 0.0  # between 0 and 1: how high the tower is when something is due
+    whole: int  # how many cubes the tower that is being built has once it is done
+    drawn: float  # between 0 and 1: how high the tower is when something is due
 
     @property
     def idle(self) -> list[int]:

@@ -137,7 +137,7 @@ def can_begin(belief: Value, scene: Scene, names: Sequence[str]) -> bool:
     return bool(belief["stops"]) or (at < len(names) and ACTS[names[at]](scene) is not None)
 
 
-def scene_of(belief: Value, order: tuple[int, ...], height: int, rng: np.random.Generator, drawn: float = 0.0) -> Scene:
+def scene_of(belief: Value, order: tuple[int, ...], height: int, rng: np.random.Generator, drawn: float) -> Scene:
     """What the person sees of a world's belief, where so many cubes of a tower stand as they should."""
     bodies = {body["id"]: body for body in belief["bodies"]}
     middles = np.stack([body["pose"][:3, 3] for body in belief["bodies"]])

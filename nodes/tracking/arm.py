@@ -224,10 +224,12 @@ class ArmNode(Node):
         texture = belief.get("texture")
         if view is None:
             return None, texture and {**texture, "ground": None}
+        if not _is_anything_expected(objects):
+            return None, texture
         together, alike = belief["together"] if self._prior else None, texture["alike"] if texture else 1.0
         joint = joint_of(self._believed(objects), together, self._reports, self._sizes, self._lasts, alike)
-        if texture is None or not _is_anything_expected(objects):
-            return Known(joint), texture
+        if texture is None:
+            return Known(joint), None
         sizes = sizes_of(objects, together, alike, self._sizes)
         told = told_by(view, texture, joint)
         return told.known._replace(sizes=sizes.told), {**texture, "ground": told.ground, "alike": sizes.alike}

@@ -48,14 +48,6 @@ class Told(NamedTuple):
     ground: Ground | None  # what is looked at in the next image; its camera's error has the rows `Known.older`
 
 
-class _Said(NamedTuple):
-    """What the texture says: a quadratic around no error."""
-
-    information: Floats  # (12, 12) of the camera's error in this image and in the older one, twists in their frames
-    right: Floats  # (12,) that, times the errors of which it speaks
-    share: float  # of the points in the older image, how many are found
-
-
 def told_by(view: View, texture: Texture, joint: Floats) -> Told:
     """What is known of the camera and all objects, by the texture, too; joint: what is known of them without it, as
     `Known` has it."""
@@ -64,14 +56,14 @@ def told_by(view: View, texture: Texture, joint: Floats) -> Told:
     if texture["covered"].shape != _cells(view.gray) or view.camera[2, 3] <= 0.0:  # of another camera, or from below
         return Told(known, None)
     if ground is not None:
-        joint, rows = np.array(joint), np.r_[Rows.error, len(joint) - 6 : len(joint)]
+        older = slice(len(joint) - 6, len(joint))
+        joint, rows = np.array(joint), np.r_[Rows.error, older]
         up = ground["camera"][2, :3]
         # How high the camera is, images say again and again, and err alike: older ones count less and less.
-        joint[-6:-3, -6:-3] += const.RESTING_M**2 * np.outer(up, up)
-        spread = joint[np.ix_(rows, rows)]
-        said = _said_by(view, ground, texture["covered"], spread)
-        known = Known(joint, older=slice(len(joint) - 6, len(joint))) if said is None else _with(said, joint, rows)
-    if said is not None and said.share >= const.TEXTURE_KEPT:
+        joint[older, older][:3, :3] += const.RESTING_M**2 * np.outer(up, up)
+        said = _said_by(view, ground, texture["covered"], joint[np.ix_(rows, rows)])
+        known = Known(joint, older=older) if said is None else Known(*_with(said, joint, rows), older)
+    if said is not None and ground is not None and said.found >= const.TEXTURE_KEPT * len(ground["points"]):
         return Told(known, ground)
     newer = ground_of(view, texture["covered"])
     return Told(known, ground) if newer is None else Told(known._replace(older=Rows.error), newer)
@@ -103,9 +95,8 @@ def ground_of(view: View, covered: Gray) -> Ground | None:
     free = (-towards * const.TEXTURE_FAR > 1.0) & (covered == 0)
     free = free.repeat(const.COVER_PX, axis=0).repeat(const.COVER_PX, axis=1)[:height, :width]
     inside = np.zeros_like(view.gray)
-    inside[const.PATCH_PX : -const.PATCH_PX, const.PATCH_PX : -const.PATCH_PX] = free[
-        const.PATCH_PX : -const.PATCH_PX, const.PATCH_PX : -const.PATCH_PX
-    ]
+    middle = np.s_[const.PATCH_PX : -const.PATCH_PX, const.PATCH_PX : -const.PATCH_PX]
+    inside[middle] = free[middle]
     most, weakest = const.TEXTURE_POINTS, const.TEXTURE_CORNER
     found = cv2.goodFeaturesToTrack(
         view.gray, most, weakest, const.PATCH_PX, mask=inside, blockSize=const.PATCH_PX // 3
@@ -117,15 +108,15 @@ def ground_of(view: View, covered: Gray) -> Ground | None:
 
 
 class _Fit(NamedTuple):
-    """Errors that put points where they are found."""
+    """Errors that put points where they are found, and what is known of them: a quadratic around no error."""
 
-    errors: Floats  # (12,)
+    errors: Floats  # (12,) of the camera in this image and in the older one, twists in their frames
     information: Floats  # (12, 12)
     right: Floats  # (12,) the information, times the errors of which it speaks
     found: int  # points
 
 
-def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said | None:
+def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Fit | None:
     """What the texture says; spread: (12, 12) covariance of the errors. None: too little of it is found."""
     known, fit = inverse(spread), _Fit(np.zeros(12), np.zeros((12, 12)), np.zeros(12), 0)
     least = const.LEAST_SHOWN
@@ -140,13 +131,13 @@ def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Said
             if len(shown) < least:
                 return None
             flow = _flow_between(view.gray, back, ground, shown, blur)
-            leads = _derivatives(view, ground, fit.errors, ground["points"][shown])
+            leads = _derivatives(view, ground, fit.errors, back, ground["points"][shown])
             whitened, before = flow.whitening @ leads, fit.errors
             fit = _fitted(flow.target + whitened @ before, whitened, known, before)
             moved_px = float(np.median(np.linalg.norm(leads @ (fit.errors - before), axis=1)))
     if moved_px >= const.TEXTURE_SETTLED_PX or min(fit.found, int(flow.alike.sum())) < least:
         return None
-    return _Said(fit.information, fit.right, fit.found / len(ground["points"]))
+    return fit
 
 
 def _flow_between(gray: Gray, back: Floats, ground: Ground, shown: Indices, blur: float) -> "_Flow":
@@ -205,13 +196,13 @@ def _fitted(target: Floats, leads: Floats, known: Floats, begun: Floats) -> _Fit
     return fit
 
 
-def _with(said: _Said, joint: Floats, rows: Indices) -> Known:
-    """What is known with that (a Kalman filter's update, of what is told as information)."""
+def _with(said: _Fit, joint: Floats, rows: Indices) -> tuple[Floats, Floats]:
+    """The covariance, and what is expected, with that (a Kalman filter's update, of what is told as information)."""
     spread = joint[np.ix_(rows, rows)]
     gain = joint[:, rows] @ said.information @ np.linalg.inv(np.eye(12) + spread @ said.information)
     after = joint - gain @ joint[rows]
     after = 0.5 * (after + after.T)
-    return Known(after, after[:, rows] @ said.right, slice(len(joint) - 6, len(joint)))
+    return after, after[:, rows] @ said.right
 
 
 def _homographies(view: View, ground: Ground, errors: Floats) -> Floats:
@@ -224,9 +215,10 @@ def _homographies(view: View, ground: Ground, errors: Floats) -> Floats:
     return np.asarray(newest @ np.linalg.inv(older))
 
 
-def _derivatives(view: View, ground: Ground, at: Floats, points: NDArray[np.int64]) -> Floats:
-    """(n, 2, 12) by how much points are found elsewhere in the older image, a unit of each error."""
-    back = np.linalg.inv(_homographies(view, ground, at[None])[0])
+def _derivatives(view: View, ground: Ground, at: Floats, there: Floats, points: NDArray[np.int64]) -> Floats:
+    """(n, 2, 12) by how much points are found elsewhere in the older image, a unit of each error; there: (3, 3) where
+    they are in the newest one with the errors (12,) that are supposed."""
+    back = np.linalg.inv(there)
     steps = const.ERROR_STEP * np.concatenate((np.eye(12), -np.eye(12)))
     ends = _carried(points, back @ _homographies(view, ground, at + steps))
     return np.asarray((ends[:12] - ends[12:]).transpose(1, 2, 0) / (2.0 * const.ERROR_STEP))
