@@ -65,4 +65,7 @@ def guarded(main: Callable[[Sequence[str]], int]) -> NoReturn:
         print("interrupted", file=sys.stderr)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to be done in good order
+    # An interpreter started by `-m` kills itself by SIGINT at its end if the last text that was run by `exec` was
+    # broken off by Ctrl-C, as those of a dataclass are, whoever has answered that. So there is another last one.
+    exec("")
     sys.exit(code)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -84,6 +85,14 @@ def main(arguments):
         return 0
 guarded(main)
 """
+IN_TEXT_THAT_IS_RUN = """
+def main(arguments):
+    try:
+        exec("press()", globals())
+    except KeyboardInterrupt:
+        return 3
+guarded(main)
+"""
 AT_THE_END = """
 import atexit
 atexit.register(press)
@@ -108,3 +117,10 @@ def test_no_traceback_answers_it(when: str, code: int, said: str) -> None:
     command = [sys.executable, "-c", when if when is BEFORE else BEGIN + when]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stderr) == (code, said)
+
+
+def test_one_that_was_answered_within_text_that_was_run_is_not_what_the_process_ends_of(tmp_path: Path) -> None:
+    (tmp_path / "pressed.py").write_text(BEGIN + IN_TEXT_THAT_IS_RUN)
+    command = [sys.executable, "-m", "pressed"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (3, "")
