@@ -2,7 +2,6 @@
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import anyio
@@ -14,11 +13,11 @@ from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.launch import frames
 from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts
 from hierax.runtime.launch.hosts import Hosts
+from hierax.runtime.launch.leftovers import Leftovers
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.pending_changes import PendingChanges
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
 from hierax.runtime.owner.effects import DETACH
-from hierax.runtime.recovery.disk import remove_kept
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.control import Census, Control, Dismiss, Lost, encode_control
 from hierax.schemas.roster import Roster
@@ -58,6 +57,7 @@ class RosterSupervisor(ProcessSupervisor):
         self._last_roster: Roster | None = None
         self._last_nodes: list[str] | None = None
         self._is_saved = True  # whether what it takes to go on with the run is written down as it is
+        self._leftovers = Leftovers(self._is_kept)
         self._heard_s = 0.0
         self._told: Child | None = None
         self._clock = SteadyClock()
@@ -139,6 +139,7 @@ class RosterSupervisor(ProcessSupervisor):
             self.version = value["version"]
             self.instances = value["instances"]
             self._on_members({**self._elsewhere(), **value["processes"]})
+            self._remove_leftovers()
             self._beat.set()
             self._beat = anyio.Event()
             if not self._is_saved:
@@ -241,7 +242,8 @@ class RosterSupervisor(ProcessSupervisor):
         if child.dismissed:
             what = "its process exits" if child.code is None else "it leaves its process"
             self.notify(f"{name}: {what}: {child.dismissed}")
-            self._forget(child)
+            self._leftovers.add(child.order)
+            self._remove_leftovers()
             await self.send_to_owner(Lost(name, child.token, False))
             return
         child.placeless = True
@@ -250,14 +252,12 @@ class RosterSupervisor(ProcessSupervisor):
         if child.placeless:
             await self._on_end_beside(child)
 
-    def _forget(self, child: Child) -> None:
-        """Remove what a process has kept that was dismissed, unless another one of its node goes on from there: a
-        launch may run for ever, and be changed any number of times."""
-        order = child.order
-        others = {each.order.checkpoint for each in self.children if each.state is not ProcessState.ENDED}
-        in_force = order.name in self.instances and self.orders.is_kept(order)
-        if not in_force and order.checkpoint not in others:
-            remove_kept(Path(order.checkpoint))
+    def _is_kept(self, order: frames.NodeOrder) -> bool:
+        return order.name in self.instances and self.orders.is_kept(order)
+
+    def _remove_leftovers(self) -> None:
+        living = (child for child in self.children if child.state is not ProcessState.ENDED)
+        self._leftovers.remove({child.order.checkpoint for child in living})
 
     async def _on_end_together(self, children: Sequence[Child]) -> None:
         """Nodes that were lost with one process come back in one; but those that have no place, or none yet."""

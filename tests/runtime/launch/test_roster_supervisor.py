@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, cast
 
 import anyio
@@ -16,6 +17,7 @@ from hierax.runtime.launch.frames import (
     ANSWER,
     BEAT,
     COME_BACK,
+    DISMISSED,
     FAILED,
     FINISHED,
     REPORT,
@@ -70,7 +72,7 @@ class Process:
 class Order:
     """Of a node's process."""
 
-    name, process, request, life, shares = "top", "t", "", COME_BACK, ""
+    name, process, request, life, shares, checkpoint = "top", "t", "", COME_BACK, "", ""
 
 
 def supervised(main: Callable[[RosterSupervisor], Awaitable[None]]) -> None:
@@ -167,6 +169,55 @@ def test_a_process_that_goes_before_its_place_is_known_here_is_told_of() -> None
 
     supervised(main)
     assert told == [Lost("top", "t", True)]
+
+
+def test_what_is_kept_goes_though_its_process_has_ended_before_it_is_known_here_that_it_was_replaced(
+    tmp_path: Path,
+) -> None:
+    """The world's process and the one that is replaced say so by pipes of their own."""
+    kept = [tmp_path / f"top.{ending}" for ending in ("0", "1", "lock")]
+    for path in kept:
+        path.touch()
+
+    class Replaced(Order):
+        checkpoint = str(tmp_path / "top")
+
+    class Adopting(FewOrders):
+        adopted = False
+
+        def is_kept(self, order: NodeOrder) -> bool:
+            return not self.adopted
+
+        def adopt(self, request: str, terms: Mapping[str, ProcessTerms]) -> None:
+            self.adopted = True
+
+        def save(self, coming: Mapping[str, Mapping[str, ProcessTerms]]) -> None:
+            pass
+
+    class Ended(Process):
+        returncode = 0
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        async def send(word: Control) -> None:
+            pass
+
+        supervisor.send_to_owner = send  # type: ignore[method-assign]
+        supervisor.orders = cast(Orders, Adopting())
+        supervisor.changes.add(Propose("c0ffee", Detach("top").plain()), {})
+        beat(supervisor, {"world": "w", "top": "t"}, ("world", "top"))
+        child = Child(cast(NodeOrder, Replaced()), cast(Any, Ended()), cast(Any, None))
+        child.take({"status": DISMISSED, "why": "another process runs it"})
+        await supervisor._on_ends([child])
+        await anyio.wait_all_tasks_blocked()
+        beat(supervisor, {"world": "w", "top": "t"}, ("world", "top"))
+        assert all(path.exists() for path in kept)
+        supervisor._take(
+            supervisor.current["world"], {"status": ANSWER, "request": "c0ffee", "epoch": 7, "refusal": ""}
+        )
+        beat(supervisor, {"world": "w", "top": "t2"}, ("world", "top"))
+        assert list(tmp_path.iterdir()) == []
+
+    supervised(main)
 
 
 def test_a_process_is_in_one_state_after_the_other() -> None:
