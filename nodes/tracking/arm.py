@@ -14,10 +14,11 @@ from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.certainty import right
-from hierax.nodes.tracking.estimation.drift import joint_of, lasting, sizes_of
+from hierax.nodes.tracking.estimation.drift import joint_of, lasting
 from hierax.nodes.tracking.estimation.fusion import Known
 from hierax.nodes.tracking.estimation.ground import View, corrected, covered_by, told_by
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
+from hierax.nodes.tracking.estimation.sizes import sizes_of
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
     check_ids,
@@ -227,10 +228,10 @@ class ArmNode(Node):
         if not _is_anything_expected(objects):
             return None, texture
         together, alike = belief["together"] if self._prior else None, texture["alike"] if texture else 1.0
-        joint = joint_of(self._believed(objects), together, self._reports, self._sizes, self._lasts, alike)
-        if texture is None:
+        sizes = None if texture is None else sizes_of(objects, together, alike, self._sizes)
+        joint = joint_of(self._believed(objects), together, self._reports, self._sizes, self._lasts, sizes)
+        if texture is None or sizes is None:
             return Known(joint), None
-        sizes = sizes_of(objects, together, alike, self._sizes)
         told = told_by(view, texture, joint)
         return told.known._replace(sizes=sizes.told), {**texture, "ground": told.ground, "alike": sizes.alike}
 

@@ -84,8 +84,9 @@ CALMING = 0.85  # share of its motion that something keeps from image to image, 
 SETTLED_M = 0.004  # where no object moves, and all are known better than this, the image is searched near by
 RESTING_MARGIN = 0.1  # by so large a share of its control points another explanation than rest is clearly better
 # How much a camera's drift changes from image to image, in shares of how far reports err; and, as a share, how large
-# what has an exact model is beside it: blur, light and worn edges make it seem smaller.
-DRIFTS, SIZES = 0.6, 0.007
+# what has an exact model is beside it: blur, light and worn edges make it seem smaller. Of that variance all objects
+# have so much in common, and so much of what comes to it where models are imprecise: what is worn is smaller.
+DRIFTS, SIZES, SIZES_TOGETHER, WORN_TOGETHER = 0.6, 0.007, 0.1, 0.6
 # Of what its motion may change in a frame, what stands rises by so much, and tilts; what falls over rises.
 UPWARDS, TILTING, FALLING = 0.1, 0.15, 0.3
 RESTING_M, RESTING_RAD = 0.0005, 0.004  # how certain the height and the tilt of a body at rest are
@@ -117,9 +118,6 @@ ALIKE = 0.15  # control points of one edge err alike: what they say together cou
 # Imprecise models: standard deviations of where edges may be beside a model's, m; control points that should be seen of
 # one that is judged; the score of an exact one that is not judged again; nats by which one is rather imprecise, before.
 TOLERANCES_M, LEAST_JUDGED, DOING_WELL, RATHER = (0.0, 0.0007, 0.002), 30.0, 0.85, 2.5
-# Of an edge, fewer control points that are found tell nothing; how far a bevel's edge may move in the object's frame
-# from image to image as the view changes, m.
-LEAST_POINTS, WANDERS_M = 3, 0.000004
 
 # Elsewhere. Shares of its control points: another explanation must be better by this; so much must speak for one beyond
 # that, however unlikely it was; so much speaks against one within a push or a fall of the expected one.
@@ -213,6 +211,7 @@ EDGE_EASE = 1e-5  # share of a patch's slopes that is counted along its edge, wh
 COVER_PX = 8  # side of a cell that something covers, or nothing
 ERROR_STEP, TEXTURE_ITERATIONS = 1e-5, 5  # m and rad, of derivatives; reweighted least squares
 TWO_MEDIAN = 1.386  # of the squared length of what is normally distributed in two dimensions, of variance 1
+EXACTLY = 1e14 * np.eye(6)  # information of a camera of which nothing is open
 SAME_SIZE = 1e-6  # standard deviation of how large what is told to be exact is, as a share: none, but for the inverse
 EASE = 1e-3  # share of the prior that is counted as seen, so that what no edge shows stays finite
 MOST_ROWS = 30_000  # OpenCV takes less than 32768 rows at a time

@@ -56,20 +56,18 @@ def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics
     poses[at] = pose
     stage = aligned.stage
     rows = np.nonzero(aligned.supported & (stage.controls.visible > 0.5) & (stage.controls.owners == at))[0]
-    edges, starts, count = np.unique(stage.controls.edges[rows], return_index=True, return_counts=True)
-    enough = count >= const.LEAST_POINTS
-    if not enough.any():
+    if not len(rows):
         return looks
+    edges, starts, count = np.unique(stage.controls.edges[rows], return_index=True, return_counts=True)
     moves = moves_of(poses, stage.controls, stage.lines, rows, intrinsics)
-    off = (np.add.reduceat(offsets_at(aligned, poses)[rows], starts) / count)[enough]
-    mean = (np.add.reduceat(moves, starts) / count[:, None])[enough]
-    edges, count = edges[enough], count[enough]
+    off = np.add.reduceat(offsets_at(aligned, poses)[rows], starts) / count
+    mean = np.add.reduceat(moves, starts) / count[:, None]
     every = np.union1d(looks["bent"], edges)
     before, now = np.searchsorted(every, looks["bent"]), np.searchsorted(every, edges)
     bends = np.zeros((len(every), 3))
     slack = np.tile(tolerance**2 * np.eye(3), (len(every), 1, 1))
     bends[before], slack[before] = looks["bends"], looks["slack"]
-    spread = slack[now] + const.WANDERS_M**2 * np.eye(3)
+    spread = slack[now]
     carried = np.einsum("eij,ej->ei", spread, mean)
     variance = np.einsum("ei,ei->e", mean, carried) + const.WHOLE_PX**2 + const.NOISE_PX**2 / count
     gain = carried / variance[:, None]

@@ -9,20 +9,18 @@ and mapping (Smith, Self and Cheeseman, 1990).
 Of a camera that is carried about by hand nothing says how far its drift goes in the end: it is a random walk. One on an
 arm is where joints say, but for so much: there it is a first-order Gauss-Markov process, which forgets. Else whatever
 most objects do together at once, as a tower that somebody pushes, would be the camera's drift, once that had time to
-become uncertain.
-
-How large an object is beside its model is part of that, for the same reason: what is larger looks as if it were nearer.
-Where it stands tells both, as far as it is known where the camera is."""
+become uncertain."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.fusion import Rows
+from hierax.nodes.tracking.estimation.sizes import Sizes, by_tolerances, expected_sizes, size_row
 from hierax.nodes.tracking.imagery.alternatives import at_rest
+from hierax.nodes.tracking.math.batched import inverse
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import TRACKED, Together, TrackedObject
@@ -51,7 +49,7 @@ def joint_of(
     reports: Floats,
     sizes: float = const.SIZES,
     lasts: Floats | float = 1.0,
-    alike: float = 1.0,
+    learned: Sizes | None = None,
 ) -> Floats:
     """`hierax.nodes.tracking.estimation.fusion.Prior.joint` of the objects.
 
@@ -60,9 +58,12 @@ def joint_of(
         reports: (6, 6) covariance of the error that is drawn anew in each image.
         sizes: how large what has an exact model may be beside it, as a share.
         lasts: (6,) which share of the drift is left since the image before, along and about each axis, or in all.
-        alike: `Sizes.alike` up to the image before.
+        learned: of objects' sizes, up to the image before; None: nothing.
     """
-    whole = _continued(objects, together, sizes, alike)
+    whole = _continued(objects, together, sizes, 1.0 if learned is None else learned.alike)
+    if learned is not None:
+        rows = [size_row(at) for at in range(len(objects))]
+        whole[rows, rows] += learned.looser
     whole[Rows.drift] *= np.reshape(lasts, (-1, 1))
     whole[:, Rows.drift] *= lasts
     whole[Rows.drift, Rows.drift] += const.DRIFTS**2 * reports
@@ -75,37 +76,12 @@ def joint_of(
     return np.asarray(joint)
 
 
-class Sizes(NamedTuple):
-    """What objects' sizes are beside their models', as all of them together tell."""
-
-    told: Floats  # (m, 2) as `hierax.nodes.tracking.estimation.fusion.Prior.sizes`
-    alike: float  # by how much less they differ than expected, as a share
-
-
-def sizes_of(
-    objects: Sequence[TrackedObject], together: Together | None, alike: float, sizes: float = const.SIZES
-) -> Sizes:
-    """How far sizes are from models' is learned from all objects: where those that stand on one table seem as large
-    beside one another as their models are, models are exact, and tell how far away all of it is. One step of
-    expectation maximisation (Dempster, Laird and Rubin, 1977) an image.
-
-    Args:
-        together: as `joint_of` is told it; sizes: likewise.
-        alike: what was learned up to the image before.
-    """
-    told = np.zeros((len(objects), 2))
-    if together is None:
-        return Sizes(told, alike)
-    places = {number: place for place, number in enumerate(together["ids"].tolist())}
-    known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
-    expected = np.array([_size_variance(objects[at], sizes) for at in known])
-    off = np.array([objects[at]["slots"]["size"] - 1.0 for at in known])
-    rows = [_size(places[objects[at]["id"]]) for at in known]
-    squares = (off * off + together["covariance"][rows, rows]) / expected
-    learned = math.sqrt((1.0 + squares.sum()) / (1.0 + len(known)))  # as if one more were as far off as expected
-    told[known, 0] = (learned**-2 - alike**-2) / expected
-    told[known, 1] = -off / (1.0 + off)
-    return Sizes(told, learned)
+def loosened(joint: Floats, objects: Sequence[TrackedObject], tolerances: Mapping[int, float]) -> Floats:
+    """A joint covariance of some objects where some models, by their index, turn out to be as imprecise as that, in
+    metres."""
+    rows, after = [6 + size_row(at) for at in tolerances], np.array(joint)
+    after[np.ix_(rows, rows)] += by_tolerances([objects[at] for at in tolerances], list(tolerances.values()))
+    return after
 
 
 def together_of(objects: Sequence[TrackedObject], kept: Sequence[int], joint: Floats | None) -> Together | None:
@@ -131,30 +107,29 @@ def _continued(objects: Sequence[TrackedObject], together: Together | None, size
     size = 6 + 7 * len(objects) + older
     whole = np.zeros((size, size))
     for at, item in enumerate(objects):
-        view = _pose(at)
-        whole[view, view] = item["covariance"]
-        whole[_size(at), _size(at)] = alike**2 * _size_variance(item, sizes)
-    if together is None:
-        return whole
-    places = {number: place for place, number in enumerate(together["ids"].tolist())}
+        whole[_pose(at), _pose(at)] = item["covariance"]
+    expected = expected_sizes(objects, sizes).covariance(alike)
+    places = {} if together is None else {number: place for place, number in enumerate(together["ids"].tolist())}
     known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
-    here = np.r_[_rows(known), size - older : size]
-    there = np.r_[_rows([places[objects[at]["id"]] for at in known]), before - older : before]
-    whole[np.ix_(here, here)] = together["covariance"][np.ix_(there, there)]
+    if together is not None:
+        here = np.r_[_rows(known), size - older : size]
+        there = np.r_[_rows([places[objects[at]["id"]] for at in known]), before - older : before]
+        whole[np.ix_(here, here)] = together["covariance"][np.ix_(there, there)]
+    return _with_new_sizes(whole, expected, known)
+
+
+def _with_new_sizes(whole: Floats, expected: Floats, known: Sequence[int]) -> Floats:
+    """The same with sizes of the objects that are not known, of which these tell what all have in common; expected:
+    (m, m) covariance of all sizes before anything is known."""
+    new = [at for at in range(len(expected)) if at not in known]
+    rows, seen = [size_row(at) for at in new], [size_row(at) for at in known]
+    among, between = np.ix_(rows, rows), expected[np.ix_(new, known)]
+    told = between @ inverse(expected[np.ix_(known, known)]) if known else np.zeros((len(new), 0))
+    whole[rows] = told @ whole[seen]
+    whole[:, rows] = whole[rows].T
+    whole[among] = expected[np.ix_(new, new)] - told @ between.T + told @ whole[np.ix_(seen, seen)] @ told.T
     return whole
-
-
-def _size_variance(item: TrackedObject, exact: float) -> float:
-    """How large an object may be beside its model, as the square of a share: more so where its model is imprecise."""
-    tolerance, points = item["slots"]["tolerance"], item["controls"]["points"]
-    if not tolerance or not len(points):
-        return exact**2
-    return exact**2 + tolerance**2 / float((points * points).sum(axis=1).max())
 
 
 def _pose(at: int) -> slice:
     return slice(7 * at + 6, 7 * at + 12)
-
-
-def _size(at: int) -> int:
-    return 7 * at + 12

@@ -52,7 +52,7 @@ class Known(NamedTuple):
     mean: Floats | None = None
     older: slice | None = None  # which rows are about the camera's error in an older image from the next image on
     # (m, 2) how much better than `joint` has it sizes are known, as inverse variance, and which they are; None: not
-    sizes: Floats | None = None
+    sizes: tuple[Floats, Floats] | None = None
 
 
 class Prior(NamedTuple):
@@ -65,7 +65,7 @@ class Prior(NamedTuple):
     joint: Floats | None
     mean: Floats | None = None
     older: slice | None = None
-    sizes: Floats | None = None
+    sizes: tuple[Floats, Floats] | None = None
 
     @property
     def camera(self) -> Floats | None:
@@ -148,8 +148,9 @@ def _solved(aligned: Aligned, prior: Prior) -> _Solved:
     right = np.zeros(len(whole)) if prior.mean is None else whole @ prior.mean
     if prior.sizes is not None:
         rows = np.r_[Rows.sizes(count)]
-        whole[rows, rows] += prior.sizes[:, 0]
-        right[rows] += prior.sizes[:, 0] * prior.sizes[:, 1]
+        information, which = prior.sizes
+        whole[np.ix_(rows, rows)] += information
+        right[rows] += information @ which
     whole[Rows.error, Rows.error] += aligned.blocks[:, :6, :6].sum(axis=0)
     for at in range(count):
         view, seen = Rows.body(at), _as_seen(aligned.poses[at])

@@ -32,7 +32,7 @@ from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS
 from hierax.nodes.tracking.model.symmetry import alike, kept_free, moved_along
 from hierax.nodes.tracking.schema import Looks, Together, TrackedObject
-from hierax.nodes.tracking.search.imprecision import with_models_judged
+from hierax.nodes.tracking.search.imprecision import explained_with, looks_after, models_judged
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
 
@@ -105,9 +105,15 @@ def associate(
     if again is not None:
         best, found = again, _found(again, task.start.poses)
         doubtful = _doubtful(found, objects, options)
+    verdicts = models_judged(task, best, objects, found, options.tolerance)
+    if verdicts:
+        best = explained_with(task, best, verdicts, objects)
+        found = _found(best, task.start.poses)
+        nats = {at: verdict.nats for at, verdict in verdicts.items() if verdict is not None}
+        found.nats[list(nats)] = list(nats.values())
+        doubtful = _doubtful(found, objects, options)
+    judged = looks_after(verdicts, objects, intrinsics)
     shift, fused = exp_many(best.fused.shift[None])[0], found.poses
-    found, judged = with_models_judged(task, best, objects, found, options.tolerance)
-    doubtful = _doubtful(found, objects, options) if judged else doubtful
     # After an image with many starts about where an object was, which takes long, comes one without.
     turns = [at for at in doubtful if in_turn(objects[at], 1 if objects[at]["others"] else 2)]
     searched = sorted(turns, key=lambda at: objects[at]["failed_searches"])
