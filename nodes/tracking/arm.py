@@ -296,7 +296,9 @@ class ArmNode(Node):
         enough = const.LEAST_FOUND if gone else const.LEAST_SHOWN
         # With less than no nats the image is explained better by clutter than by the object.
         doubtful = estimate.nats < 0.0 or (gone and not estimate.sure)
-        if estimate.shown < enough or estimate.score < needed or doubtful:
+        # Of an imprecise model edges may be missing: it is not by their share that one of them is there.
+        doubtful |= estimate.score < needed and (gone or not estimate.slots["tolerance"])
+        if estimate.shown < enough or doubtful:
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
             searched = estimate.elsewhere and not item["others"]
             guess = estimate.pose if searched and estimate.score > self._kept_score else expected

@@ -28,15 +28,15 @@ def explains(aligned: Aligned) -> Floats:
     counts against it by how unlikely that was, and how exactly it had to be fitted."""
     stage, count = aligned.stage, len(aligned.poses)
     owners = stage.controls.owners
-    said = _said(aligned, np.exp(-const.STRANGE_WEIGHT * aligned.matches.strange))
-    return np.asarray(const.ALIKE * summed(owners, said, count) - summed(owners[stage.firsts], _off(aligned), count))
+    said = const.ALIKE * _said(aligned, np.exp(-const.STRANGE_WEIGHT * aligned.matches.strange))
+    return np.asarray(summed(owners, said, count) + summed(owners[stage.firsts], _wholes(aligned, said), count))
 
 
 def shares(aligned: Aligned) -> Shares:
     """The same by line and by edge."""
     peaks = const.ALIKE * _said(aligned, 1.0)
     said = const.ALIKE * _said(aligned, np.exp(-const.STRANGE_WEIGHT * aligned.matches.strange))
-    return Shares(peaks, said - peaks, -_off(aligned))
+    return Shares(peaks, said - peaks, _wholes(aligned, said))
 
 
 def expected(aligned: Aligned) -> Floats:
@@ -52,12 +52,18 @@ def _said(aligned: Aligned, familiar: Floats | float) -> Floats:
     return np.asarray(np.log(1.0 - seen + seen / clutter * near * familiar))
 
 
-def _off(aligned: Aligned) -> Floats:
-    """(e,) nats that it costs that each edge is off as a whole."""
+def _wholes(aligned: Aligned, said: Floats) -> Floats:
+    """(e,) nats that it costs that each edge is off as a whole; said: (n,) of each line. Of an imprecise model an edge
+    may be missing, too: then it says neither."""
     stage = aligned.stage
     off = aligned.off[stage.firsts] / stage.spread
     held = np.bincount(stage.edges, weights=np.where(aligned.supported, expected(aligned), 0.0)) / const.PEAK_PX**2
-    return np.asarray(0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * const.ALIKE * held))
+    costs = 0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * const.ALIKE * held)
+    if not stage.loose.any():
+        return np.asarray(-costs)
+    lines = np.bincount(stage.edges, weights=said)
+    there = np.logaddexp(np.log(const.FOUND) + lines - costs, np.log(1.0 - const.FOUND))
+    return np.asarray(np.where(stage.loose, there - lines, -costs))
 
 
 def painted(aligned: Aligned) -> Floats:

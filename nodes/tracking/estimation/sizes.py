@@ -71,10 +71,18 @@ def sizes_of(
 
 def expected_sizes(objects: Sequence[TrackedObject], exact: float) -> Expected:
     """How far sizes of objects are expected to be from their models'; exact: standard deviation where these are."""
-    more = np.array([_imprecision(item, item["slots"]["tolerance"]) for item in objects])
+    tolerances = at_least_usual([item["slots"]["tolerance"] or 0.0 for item in objects])
+    more = np.array([_imprecision(*each) for each in zip(objects, tolerances, strict=True)])
     together = const.SIZES_TOGETHER if exact != const.SAME_SIZE else 0.0
     own = (1.0 - together) * exact**2 + (1.0 - const.WORN_TOGETHER) * more**2
     return Expected(own, together * exact**2 + const.WORN_TOGETHER * np.outer(more, more))
+
+
+def at_least_usual(tolerances: Sequence[float]) -> list[float]:
+    """How imprecise models are in what no edge tells alone, by what edges tell: where most of a scene's models are
+    imprecise, one whose edges are where they should be beside one another may still be of another size."""
+    usual = float(np.median(tolerances)) if len(tolerances) else 0.0
+    return [max(each, usual) for each in tolerances]
 
 
 def by_tolerances(objects: Sequence[TrackedObject], tolerances: Sequence[float]) -> Floats:

@@ -196,7 +196,11 @@ def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -
     if found.shown[at] < const.LEAST_SHOWN:
         return False
     startled = found.motion_scale[at] == 1.0 and item["motion_scale"] < 1.0
-    return bool(found.scores[at] < (options.certain_score if item["probation"] or startled else options.sure_score))
+    if item["probation"] or startled:
+        return bool(found.scores[at] < options.certain_score)
+    if item["slots"]["tolerance"]:  # of an imprecise model edges may be missing: their share says little
+        return bool(found.nats[at] < 0.0)
+    return bool(found.scores[at] < options.sure_score)
 
 
 def _is_still(item: TrackedObject, motion_scale: float) -> bool:

@@ -15,6 +15,7 @@ from hierax.nodes.tracking.estimation.drift import loosened
 from hierax.nodes.tracking.estimation.fusion import fuse
 from hierax.nodes.tracking.estimation.joint_alignment import Explained, Task
 from hierax.nodes.tracking.estimation.likelihood import explains
+from hierax.nodes.tracking.estimation.sizes import at_least_usual
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
 from hierax.nodes.tracking.math.geometry import Array
@@ -105,7 +106,12 @@ def explained_with(
         after.own[at] = log_many(invert_many(expected[None]) @ after.poses[at][None])[0]
     prior = task.prior
     if prior.joint is not None:
-        tolerances = {at: verdict.tolerance for at, verdict in loose.items()}
+        known = [item["slots"]["tolerance"] or 0.0 for item in objects]
+        for at, verdict in loose.items():
+            known[at] = verdict.tolerance
+        judged = [at for at, verdict in verdicts.items() if verdict is not None]
+        usual = at_least_usual(known)
+        tolerances = {at: usual[at] for at in judged}
         prior = prior._replace(joint=loosened(prior.joint, objects, tolerances))
     return Explained(after, fuse(after, prior))
 

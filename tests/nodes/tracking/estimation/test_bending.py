@@ -54,6 +54,21 @@ def test_an_imprecise_model_is_known_for_one_and_supported_from_the_first_image_
     assert first.score > told.score + 0.1, f"seed {seed}"
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_an_edge_that_is_missing_speaks_against_an_exact_model_but_hardly_against_an_imprecise_one(seed: int) -> None:
+    """As where a bevel has taken it, or both of its faces look alike: what is right of the middle is painted over."""
+    image = np.array(photograph([FIRST], 2.0, np.random.default_rng(seed)))
+    middle = INTRINSICS[0] * FIRST.pose[0, 3] / FIRST.pose[2, 3] + INTRINSICS[2]
+    image[:, int(middle) - 8 :] = 128
+    nats = []
+    for tolerance in (0.0, 0.0015):
+        item = {**expected(FIRST, FIRST.pose), "status": "expected"}
+        found = associate(smoothed(image), [item], None, INTRINSICS, Options(MOTION, 0.75, tolerance=tolerance))
+        assert found is not None
+        nats.append(found.estimates[0].nats)
+    assert nats[0] < -5.0 < 0.0 < nats[1], f"seed {seed}"
+
+
 def test_a_tolerance_that_is_given_is_kept_and_edges_become_sure() -> None:
     once, *_, often = (each.slots for each in seen(0.0015, 5))
     assert once["tolerance"] == often["tolerance"] == 0.0015

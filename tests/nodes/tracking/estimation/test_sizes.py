@@ -12,7 +12,7 @@ from support.drawn import BOXES, all_expected
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.drift import joint_of, loosened, together_of
 from hierax.nodes.tracking.estimation.fusion import Rows
-from hierax.nodes.tracking.estimation.sizes import by_tolerances, expected_sizes, sizes_of
+from hierax.nodes.tracking.estimation.sizes import at_least_usual, by_tolerances, expected_sizes, sizes_of
 
 REPORTS = np.diag([0.0015**2] * 3 + [0.0025**2] * 3)
 KNOWN = np.diag([1e-8] * 27)  # of three objects and a drift
@@ -118,3 +118,13 @@ def test_what_is_told_to_be_exact_has_nothing_in_common() -> None:
     np.testing.assert_array_equal(
         expected_sizes(items, const.SAME_SIZE).covariance(1.0), np.diag([const.SAME_SIZE**2] * 3)
     )
+
+
+def test_where_most_models_are_imprecise_one_that_looks_exact_may_be_of_another_size() -> None:
+    assert at_least_usual([0.0, 0.002, 0.0007]) == [0.0007, 0.002, 0.0007]
+    assert at_least_usual([0.0, 0.002, 0.0]) == [0.0, 0.002, 0.0]
+    assert at_least_usual([]) == []
+    items = three(tolerance=0.002)
+    items[0]["slots"]["tolerance"] = 0.0
+    found, all_loose = (expected_sizes(each, const.SIZES) for each in (items, three(tolerance=0.002)))
+    np.testing.assert_array_equal(found.own, all_loose.own)
