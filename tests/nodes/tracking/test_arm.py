@@ -11,6 +11,7 @@ from hierax.nodes.tracking import arm as tracking_arm
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
 from hierax.nodes.tracking.math.geometry import NO_POSES, exp_so3, make_pose, pose_error
+from hierax.nodes.tracking.search.association import Estimate
 from hierax.nodes.tracking.search.missing import Sighting
 from hierax.runtime import Tick
 from hierax.schemas.values import decode_value, encode_value
@@ -85,6 +86,21 @@ def test_where_nothing_is_in_view_nothing_is_tracked_and_no_guess_is_kept(status
     unseen = {**item, "status": status, "controls": NO_CONTROLS, "guesses": WORLD_FROM_OBJECT[None]}
     seen = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), {**belief, "objects": (unseen,)})
     assert (seen["objects"][0]["status"], len(seen["objects"][0]["guesses"])) == (after, 0)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "nats", "status"),
+    [(0.0007, 3.0, "tracked"), (0.0007, -1.0, "expected"), (0.0, 3.0, "expected"), (None, 3.0, "expected")],
+)
+def test_of_an_imprecise_model_not_the_share_that_is_found_says_whether_it_is_there(
+    tolerance: float | None, nats: float, status: str
+) -> None:
+    arm = node()
+    (item,) = after_first_epoch(arm)["objects"]
+    slots = {**item["slots"], "tolerance": tolerance}
+    pose, covariance = WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3)
+    estimate = Estimate(*(pose, covariance, 0.1, np.zeros(6)), 0.3, 60.0, nats, 0.5, slots, *(0, False, True), NO_POSES)
+    assert arm._judged(item, pose, estimate)["status"] == status
 
 
 @pytest.mark.parametrize("found", [True, False])
