@@ -24,6 +24,10 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
 
+EXPECTED = {Verdict.OLD_ROSTER, Verdict.NEW_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN}
+"""Why messages are refused when nodes come and go: those of a roster that is on its way are more than are kept where
+its bearer is slow."""
+
 REFUSED_TOLD = 32  # under one version of the roster, of how many senders and reasons refused messages are logged
 MAX_RESENDS = 64
 """How often what was sent in an attempt is sent again: the owner asks for it a few times, then blames a link."""
@@ -248,7 +252,7 @@ class Member(Host):
 
     def log_level(self, header: Header, verdict: Verdict) -> int:
         comes = verdict is Verdict.AHEAD and not self.active  # it knows of no epoch yet
-        if not comes and verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
+        if not comes and verdict not in EXPECTED:
             return logging.WARNING
         like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
         if like_it in self._refused or len(self._refused) >= REFUSED_TOLD:

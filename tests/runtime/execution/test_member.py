@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import pytest
@@ -109,3 +110,16 @@ def test_a_version_like_one_that_it_never_had_is_asked_for_when_a_message_of_it_
     assert said == []
     runner_of(member).step(Message(Header(OBSERVATIONS, "other", "n", 1, roster=5), ()))
     assert said == [Fetch("n", "token", 5)]
+
+
+def test_what_comes_before_its_roster_and_is_more_than_is_kept_is_told_once(
+    slots: Slots, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of a roster that is on its way: where its bearer is slow, epochs go on meanwhile."""
+    member = newcomer(slots, [])
+    with caplog.at_level(logging.INFO, "hierax"):
+        for epoch in range(1, 40):
+            runner_of(member).step(Message(Header(OBSERVATIONS, "other", "n", epoch, roster=5), ()))
+    told = [(record.levelno, record.message) for record in caplog.records if "refused" in record.message]
+    assert [level for level, _ in told] == [logging.INFO]
+    assert told[0][1].endswith(": of a roster that is not here yet")
