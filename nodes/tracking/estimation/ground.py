@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.fusion import Known, Rows
 from hierax.nodes.tracking.estimation.profiles import Singles
-from hierax.nodes.tracking.math.batched import exp_many, inverse
+from hierax.nodes.tracking.math.batched import exp_many, inverse, only
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, rays
 from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import Ground, Imagery, Texture
@@ -104,7 +104,10 @@ def ground_of(view: View, covered: Gray) -> Ground | None:
     if found is None or len(found) < const.LEAST_SHOWN:
         return None
     points = np.rint(found[:, 0]).astype(np.int64)
-    return {"camera": view.camera, "points": points, "patches": view.gray[_pixels(points)]}
+    side = 2 * const.PATCH_PX + 1
+    windows = np.lib.stride_tricks.sliding_window_view(view.gray, (side, side))
+    patches = windows[points[:, 1] - const.PATCH_PX, points[:, 0] - const.PATCH_PX]
+    return {"camera": view.camera, "points": points, "patches": patches}
 
 
 class _Fit(NamedTuple):
@@ -121,7 +124,7 @@ def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Fit 
     known, fit = inverse(spread), _Fit(np.zeros(12), np.zeros((12, 12)), np.zeros(12), 0)
     least = const.LEAST_SHOWN
     for blur in const.TEXTURE_BLURS_PX:
-        moved_px = np.inf
+        older, leads, moved_px = _older(ground["patches"], blur), None, np.inf
         for _ in range(const.TEXTURE_STEPS):
             if moved_px < const.TEXTURE_SETTLED_PX:
                 break
@@ -130,21 +133,46 @@ def _said_by(view: View, ground: Ground, covered: Gray, spread: Floats) -> _Fit 
             least = max(const.LEAST_SHOWN, const.TEXTURE_KEPT * len(shown))
             if len(shown) < least:
                 return None
-            flow = _flow_between(view.gray, back, ground, shown, blur)
-            leads = _derivatives(view, ground, fit.errors, back, ground["points"][shown])
-            whitened, before = flow.whitening @ leads, fit.errors
+            if leads is None:  # they hardly change with the errors
+                leads = _derivatives(view, ground, fit.errors, back, ground["points"])
+            flow = _flow(only(older, shown), _newer(view.gray, back, ground["points"][shown], blur))
+            own, before = leads[shown], fit.errors
+            whitened = flow.whitening @ own
             fit = _fitted(flow.target + whitened @ before, whitened, known, before)
-            moved_px = float(np.median(np.linalg.norm(leads @ (fit.errors - before), axis=1)))
+            moved_px = float(np.median(np.linalg.norm(own @ (fit.errors - before), axis=1)))
     if moved_px >= const.TEXTURE_SETTLED_PX or min(fit.found, int(flow.alike.sum())) < least:
         return None
     return fit
 
 
-def _flow_between(gray: Gray, back: Floats, ground: Ground, shown: Indices, blur: float) -> "_Flow":
-    """How far patches that are shown are elsewhere in an image, which is taken back to the older view first."""
-    seen = cv2.warpPerspective(gray, back, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    newer = np.asarray(seen[_pixels(ground["points"][shown])], dtype=np.uint8)
-    return _flow(_blurred(ground["patches"][shown], blur), _blurred(newer, blur))
+class _Older(NamedTuple):
+    """Patches of an older image, smoothed."""
+
+    windows: Singles  # (n, s, s) what is about their middles, beside its mean
+    slopes: Singles  # (n, 2, p) grey levels a pixel, of those that have neighbours
+    products: Floats  # (n, 2, 2) of the slopes
+    contrast: Singles  # (n,) variance
+
+
+def _older(patches: Gray, blur: float) -> _Older:
+    unused = const.PATCH_PX - const.WINDOW_PX - _reach(blur)
+    near = slice(unused, patches.shape[1] - unused)
+    windows = _apart(_smooth(patches[:, near, near], blur))
+    right, down = windows[:, 1:-1, 2:] - windows[:, 1:-1, :-2], windows[:, 2:, 1:-1] - windows[:, :-2, 1:-1]
+    slopes = 0.5 * np.stack((right, down), axis=1).reshape(len(windows), 2, -1)
+    products = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64)
+    return _Older(windows, slopes, products, (windows * windows).mean(axis=(1, 2)))
+
+
+def _newer(gray: Gray, back: Floats, points: NDArray[np.int64], blur: float) -> Singles:
+    """(n, s, s) what is about points of the older view in an image, which is taken back to that view first, smoothed,
+    beside its mean."""
+    reach = const.WINDOW_PX + _reach(blur)
+    corners = np.tile(np.eye(3), (len(points), 1, 1))
+    corners[:, :2, 2] = points - reach
+    size, flags = (2 * reach + 1, 2 * reach + 1), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    seen = np.stack([cv2.warpPerspective(gray, each, size, flags=flags) for each in back @ corners])
+    return _apart(_smooth(seen, blur))
 
 
 class _Flow(NamedTuple):
@@ -155,43 +183,49 @@ class _Flow(NamedTuple):
     alike: NDArray[np.bool_]  # (n,) whether it is the same texture
 
 
-def _flow(older: Singles, newer: Singles) -> _Flow:
+def _flow(older: _Older, newer: Singles) -> _Flow:
     """From patches (n, s, s) of two images (Lucas and Kanade, 1981; one step)."""
-    older, newer = (each - each.mean(axis=(1, 2), keepdims=True) for each in (older, newer))
-    brighter = float(np.vdot(older, newer)) / max(float(np.vdot(older, older)), 1e-9)
-    older = np.float32(brighter) * older
-    left = (newer - older)[:, 1:-1, 1:-1].reshape(len(older), -1)
-    right, down = older[:, 1:-1, 2:] - older[:, 1:-1, :-2], older[:, 2:, 1:-1] - older[:, :-2, 1:-1]
-    slopes = 0.5 * np.stack((right, down), axis=1).reshape(len(older), 2, -1)
-    products = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64)
+    whole = float(np.vdot(older.windows, older.windows))
+    brighter = np.float32(np.vdot(older.windows, newer) / max(whole, 1e-9))
+    left = (newer - brighter * older.windows)[:, 1:-1, 1:-1].reshape(len(newer), -1)
+    products = float(brighter) ** 2 * older.products
     traces = np.trace(products, axis1=1, axis2=2)[:, None, None]
     lower = np.linalg.cholesky(products + (const.EDGE_EASE * traces + const.EDGE_EASE) * np.eye(2))
-    target = -np.linalg.solve(lower, (slopes @ left[..., None]).astype(np.float64))[..., 0]
-    alike = (left * left).mean(axis=1) < const.TEXTURE_OTHER**2 * (older * older).mean(axis=(1, 2))
+    target = -np.linalg.solve(lower, (brighter * (older.slopes @ left[..., None])).astype(np.float64))[..., 0]
+    alike = (left * left).mean(axis=1) < (const.TEXTURE_OTHER * brighter) ** 2 * older.contrast
     return _Flow(lower.transpose(0, 2, 1), target, alike)
 
 
-def _blurred(patches: NDArray[np.uint8], blur: float) -> Singles:
-    """(n, s, s) what is about the middles of patches, smoothed."""
-    rows = patches.astype(np.float32).reshape(-1, patches.shape[2])
-    smooth = cv2.GaussianBlur(rows, (0, 0), blur).reshape(patches.shape)  # patches touch, but for their middles
-    view = slice(const.PATCH_PX - const.WINDOW_PX, const.PATCH_PX + const.WINDOW_PX + 1)
-    return np.asarray(smooth[:, view, view])
+def _reach(blur: float) -> int:
+    """How many pixels about one are smoothed to it."""
+    return min(int(np.ceil(4.0 * blur)), const.PATCH_PX - const.WINDOW_PX)
+
+
+def _smooth(patches: Gray, blur: float) -> Singles:
+    """(n, s, s) what is about the middles of patches, which are larger by what is smoothed to it."""
+    reach, rows = _reach(blur), patches.astype(np.float32)
+    side = 2 * reach + 1
+    smooth = cv2.GaussianBlur(rows.reshape(-1, rows.shape[2]), (side, side), blur).reshape(rows.shape)
+    return np.ascontiguousarray(smooth[:, reach:-reach, reach:-reach])
+
+
+def _apart(windows: Singles) -> Singles:
+    """(n, s, s) the same beside the mean of each."""
+    return np.asarray(windows - windows.mean(axis=(1, 2), keepdims=True))
 
 
 def _fitted(target: Floats, leads: Floats, known: Floats, begun: Floats) -> _Fit:
     """Least squares over patches' targets (n, 2), by derivatives (n, 2, 12), with what is known (12, 12) of the errors,
     and Tukey's weight; begun: errors (12,) that are taken to be."""
-    fit = _Fit(begun, known, np.zeros(12), 0)
+    fit, rows, wanted = _Fit(begun, known, np.zeros(12), 0), leads.reshape(-1, 12), target.reshape(-1)
     for _ in range(const.TEXTURE_ITERATIONS):
-        left = target - leads @ fit.errors
-        squares = (left * left).sum(axis=1)
+        left = wanted - rows @ fit.errors
+        squares = (left * left).reshape(-1, 2).sum(axis=1)
         usual = max(float(np.median(squares)), 1e-9)
         weights = np.maximum(1.0 - squares / (const.SPREADS**2 * usual), 0.0) ** 2
         # The older image's noise is the same in all that comes after.
-        weighed = leads * (weights * (const.TWO_MEDIAN / (usual * const.OFFSET_FRAMES)))[:, None, None]
-        weighed = weighed.reshape(-1, 12).T
-        information, right = weighed @ leads.reshape(-1, 12), weighed @ target.reshape(-1)
+        weighed = (rows * (weights * (const.TWO_MEDIAN / (usual * const.OFFSET_FRAMES))).repeat(2)[:, None]).T
+        information, right = weighed @ rows, weighed @ wanted
         fit = _Fit(np.linalg.solve(information + known, right), information, right, int((weights > 0.0).sum()))
     return fit
 
@@ -243,11 +277,3 @@ def _cells(gray: Gray) -> tuple[int, int]:
     """Rows and columns of the cells of an image."""
     height, width = gray.shape
     return -(-height // const.COVER_PX), -(-width // const.COVER_PX)
-
-
-def _pixels(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns (n, s, s) of the pixels of patches."""
-    away = np.arange(-const.PATCH_PX, const.PATCH_PX + 1)
-    rows, columns = points[:, 1, None, None] + away[:, None], points[:, 0, None, None] + away
-    shape = (len(points), len(away), len(away))
-    return np.broadcast_to(rows, shape), np.broadcast_to(columns, shape)
