@@ -159,7 +159,7 @@ def _older(patches: Gray, blur: float) -> _Older:
     near = slice(unused, patches.shape[1] - unused)
     windows = _apart(_smooth(patches[:, near, near], blur))
     right, down = windows[:, 1:-1, 2:] - windows[:, 1:-1, :-2], windows[:, 2:, 1:-1] - windows[:, :-2, 1:-1]
-    slopes = 0.5 * np.stack((right, down), axis=1).reshape(len(windows), 2, -1)
+    slopes = np.float32(0.5) * np.stack((right, down), axis=1).reshape(len(windows), 2, -1)
     products = (slopes @ slopes.transpose(0, 2, 1)).astype(np.float64)
     return _Older(windows, slopes, products, (windows * windows).mean(axis=(1, 2)))
 
@@ -172,7 +172,7 @@ def _newer(gray: Gray, back: Floats, points: NDArray[np.int64], blur: float) -> 
     corners[:, :2, 2] = points - reach
     size, flags = (2 * reach + 1, 2 * reach + 1), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     seen = np.stack([cv2.warpPerspective(gray, each, size, flags=flags) for each in back @ corners])
-    return _apart(_smooth(seen, blur))
+    return _apart(_smooth(seen.astype(np.uint8, copy=False), blur))
 
 
 class _Flow(NamedTuple):
