@@ -28,8 +28,9 @@ def explains(aligned: Aligned) -> Floats:
     counts against it by how unlikely that was, and how exactly it had to be fitted."""
     stage, count = aligned.stage, len(aligned.poses)
     owners = stage.controls.owners
-    said = const.ALIKE * _said(aligned, np.exp(-const.STRANGE_WEIGHT * aligned.matches.strange))
-    return np.asarray(summed(owners, said, count) + summed(owners[stage.firsts], _wholes(aligned, said), count))
+    said = _said(aligned, np.exp(-const.STRANGE_WEIGHT * aligned.matches.strange))
+    wholes = _wholes(aligned, const.ALIKE * said)
+    return np.asarray(const.ALIKE * summed(owners, said, count) + summed(owners[stage.firsts], wholes, count))
 
 
 def shares(aligned: Aligned) -> Shares:
