@@ -227,8 +227,8 @@ class ArmNode(Node):
             return None, texture and {**texture, "ground": None}
         if not _is_anything_expected(objects):
             return None, texture
-        together, alike = belief["together"] if self._prior else None, texture["alike"] if texture else 1.0
-        sizes = None if texture is None else sizes_of(objects, together, alike, self._sizes)
+        together = belief["together"] if self._prior else None
+        sizes = None if texture is None else sizes_of(objects, together, texture["alike"], self._sizes)
         joint = joint_of(self._believed(objects), together, self._reports, self._sizes, self._lasts, sizes)
         if texture is None or sizes is None:
             return Known(joint), None

@@ -24,10 +24,6 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
 
-EXPECTED = {Verdict.OLD_ROSTER, Verdict.NEW_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN}
-"""Why messages are refused when nodes come and go: those of a roster that is on its way are more than are kept where
-its bearer is slow."""
-
 REFUSED_TOLD = 32  # under one version of the roster, of how many senders and reasons refused messages are logged
 MAX_RESENDS = 64
 """How often what was sent in an attempt is sent again: the owner asks for it a few times, then blames a link."""
@@ -251,10 +247,12 @@ class Member(Host):
             self._tried_in = None
 
     def log_level(self, header: Header, verdict: Verdict) -> int:
-        comes = verdict is Verdict.AHEAD and not self.active  # it knows of no epoch yet
-        if not comes and verdict not in EXPECTED:
+        # Before it knows of an epoch; or more than is kept while its roster is on its way.
+        early = verdict is Verdict.NEW_ROSTER or (verdict is Verdict.AHEAD and not self.active)
+        if not early and verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
             return logging.WARNING
-        like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
+        # To be expected when nodes come and go: one is told.
+        like_it = ("early" if early else verdict.value, header.sender)
         if like_it in self._refused or len(self._refused) >= REFUSED_TOLD:
             return logging.DEBUG
         self._refused.add(like_it)

@@ -18,12 +18,12 @@ import numpy as np
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.fusion import Rows
-from hierax.nodes.tracking.estimation.sizes import Sizes, by_tolerances, expected_sizes, size_row
+from hierax.nodes.tracking.estimation.sizes import Sizes, by_tolerances, expected_sizes, places_in, size_row
 from hierax.nodes.tracking.imagery.alternatives import at_rest
 from hierax.nodes.tracking.math.batched import inverse
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import Indices
-from hierax.nodes.tracking.schema import TRACKED, Together, TrackedObject
+from hierax.nodes.tracking.schema import Together, TrackedObject
 
 
 def lasting(report: float, drift: float | None) -> float:
@@ -79,8 +79,9 @@ def joint_of(
 def loosened(joint: Floats, objects: Sequence[TrackedObject], tolerances: Mapping[int, float]) -> Floats:
     """A joint covariance of some objects where some models, by their index, turn out to be as imprecise as that, in
     metres."""
-    rows, after = [6 + size_row(at) for at in tolerances], np.array(joint)
-    after[np.ix_(rows, rows)] += by_tolerances([objects[at] for at in tolerances], list(tolerances.values()))
+    rows, after = np.r_[Rows.sizes(len(objects))][list(tolerances)], np.array(joint)
+    more = by_tolerances([objects[at] for at in tolerances], list(tolerances.values()))
+    after[np.ix_(rows, rows)] += more.covariance(1.0)
     return after
 
 
@@ -109,13 +110,12 @@ def _continued(objects: Sequence[TrackedObject], together: Together | None, size
     for at, item in enumerate(objects):
         whole[_pose(at), _pose(at)] = item["covariance"]
     expected = expected_sizes(objects, sizes).covariance(alike)
-    places = {} if together is None else {number: place for place, number in enumerate(together["ids"].tolist())}
-    known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places]
+    places = places_in(together, objects)
     if together is not None:
-        here = np.r_[_rows(known), size - older : size]
-        there = np.r_[_rows([places[objects[at]["id"]] for at in known]), before - older : before]
+        here = np.r_[_rows(list(places)), size - older : size]
+        there = np.r_[_rows(list(places.values())), before - older : before]
         whole[np.ix_(here, here)] = together["covariance"][np.ix_(there, there)]
-    return _with_new_sizes(whole, expected, known)
+    return _with_new_sizes(whole, expected, list(places))
 
 
 def _with_new_sizes(whole: Floats, expected: Floats, known: Sequence[int]) -> Floats:

@@ -51,7 +51,7 @@ class Known(NamedTuple):
     # what is expected of all of that, where the table's texture has told something of it; None: nothing
     mean: Floats | None = None
     older: slice | None = None  # which rows are about the camera's error in an older image from the next image on
-    # (m, 2) how much better than `joint` has it sizes are known, as inverse variance, and which they are; None: not
+    # how much better than `joint` has it sizes are known, as inverse covariance (m, m), and which they are (m,)
     sizes: tuple[Floats, Floats] | None = None
 
 

@@ -48,13 +48,13 @@ def sizes_of(
     """
     information, which = np.zeros((len(objects), len(objects))), np.zeros(len(objects))
     looser = np.zeros(len(objects))
-    ids = [] if together is None else together["ids"].tolist()
-    known = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in ids]
-    if together is None or not known:
+    places = places_in(together, objects)
+    if together is None or not places:
         return Sizes((information, which), looser, alike)
+    known = list(places)
     expected = expected_sizes([objects[at] for at in known], sizes)
     off = np.array([objects[at]["slots"]["size"] - 1.0 for at in known])
-    rows = [size_row(ids.index(objects[at]["id"])) for at in known]
+    rows = [size_row(place) for place in places.values()]
     covariance = together["covariance"][np.ix_(rows, rows)]
     before, own = inverse(expected.covariance(alike)), np.diag(alike**2 * expected.own)
     gain = own @ before  # of what an object is off, what it has of its own
@@ -71,11 +71,9 @@ def sizes_of(
 
 def expected_sizes(objects: Sequence[TrackedObject], exact: float) -> Expected:
     """How far sizes of objects are expected to be from their models'; exact: standard deviation where these are."""
-    tolerances = at_least_usual([item["slots"]["tolerance"] or 0.0 for item in objects])
-    more = np.array([_imprecision(*each) for each in zip(objects, tolerances, strict=True)])
+    more = by_tolerances(objects, at_least_usual([item["slots"]["tolerance"] or 0.0 for item in objects]))
     together = const.SIZES_TOGETHER if exact != const.SAME_SIZE else 0.0
-    own = (1.0 - together) * exact**2 + (1.0 - const.WORN_TOGETHER) * more**2
-    return Expected(own, together * exact**2 + const.WORN_TOGETHER * np.outer(more, more))
+    return Expected((1.0 - together) * exact**2 + more.own, together * exact**2 + more.common)
 
 
 def at_least_usual(tolerances: Sequence[float]) -> list[float]:
@@ -85,11 +83,17 @@ def at_least_usual(tolerances: Sequence[float]) -> list[float]:
     return [max(each, usual) for each in tolerances]
 
 
-def by_tolerances(objects: Sequence[TrackedObject], tolerances: Sequence[float]) -> Floats:
-    """(m, m) covariance of sizes that comes to what is known of objects when models turn out to be as imprecise as
-    that, in metres."""
+def by_tolerances(objects: Sequence[TrackedObject], tolerances: Sequence[float]) -> Expected:
+    """What comes to that of objects whose models are as imprecise as that, in metres."""
     more = np.array([_imprecision(*each) for each in zip(objects, tolerances, strict=True)])
-    return np.diag((1.0 - const.WORN_TOGETHER) * more**2) + const.WORN_TOGETHER * np.outer(more, more)
+    return Expected((1.0 - const.WORN_TOGETHER) * more**2, const.WORN_TOGETHER * np.outer(more, more))
+
+
+def places_in(together: Together | None, objects: Sequence[TrackedObject]) -> dict[int, int]:
+    """By the index of those that are tracked and known of since the image before, their place in what is known."""
+    places = {} if together is None else {number: place for place, number in enumerate(together["ids"].tolist())}
+    known = (at for at, item in enumerate(objects) if item["status"] == TRACKED and item["id"] in places)
+    return {at: places[objects[at]["id"]] for at in known}
 
 
 def size_row(at: int) -> int:
@@ -97,7 +101,7 @@ def size_row(at: int) -> int:
     return 7 * at + 12
 
 
-def _imprecision(item: TrackedObject, tolerance: float | None) -> float:
+def _imprecision(item: TrackedObject, tolerance: float) -> float:
     """How much less is known of how large an object is because its model is as imprecise as that, as a share."""
     points = item["controls"]["points"]
     if not tolerance or not len(points):

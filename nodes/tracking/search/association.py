@@ -106,9 +106,9 @@ def associate(
         best, found = again, _found(again, task.start.poses)
         doubtful = _doubtful(found, objects, options)
     verdicts = models_judged(task, best, objects, found, options.tolerance)
-    if verdicts:
-        best = explained_with(task, best, verdicts, objects)
-        found = _found(best, task.start.poses)
+    loosely = explained_with(task, best, verdicts, objects)
+    if loosely is not None:
+        best, found = loosely, _found(loosely, task.start.poses)
         nats = {at: verdict.nats for at, verdict in verdicts.items() if verdict is not None}
         found.nats[list(nats)] = list(nats.values())
         doubtful = _doubtful(found, objects, options)

@@ -92,12 +92,12 @@ def _looks(verdict: Verdict | None, slots: Looks, intrinsics: Array) -> Looks:
 
 def explained_with(
     task: Task, best: Explained, verdicts: Mapping[int, Verdict | None], objects: Sequence[TrackedObject]
-) -> Explained:
+) -> Explained | None:
     """The image as it is explained with models that are as imprecise as they were judged to be: what that leaves open
-    of how large objects are, the camera's error is not told by either."""
+    of how large objects are, the camera's error is not told by either. None: no model was judged to be imprecise."""
     loose = {at: verdict for at, verdict in verdicts.items() if verdict is not None and verdict.tolerance}
     if not loose:
-        return best
+        return None
     after = best.aligned._replace(**{name: getattr(best.aligned, name).copy() for name in _OF_OBJECTS})
     for at, verdict in loose.items():
         for name in _OF_OBJECTS:
@@ -107,12 +107,8 @@ def explained_with(
     prior = task.prior
     if prior.joint is not None:
         known = [item["slots"]["tolerance"] or 0.0 for item in objects]
-        for at, verdict in loose.items():
-            known[at] = verdict.tolerance
-        judged = [at for at, verdict in verdicts.items() if verdict is not None]
-        usual = at_least_usual(known)
-        tolerances = {at: usual[at] for at in judged}
-        prior = prior._replace(joint=loosened(prior.joint, objects, tolerances))
+        usual = at_least_usual([loose[at].tolerance if at in loose else was for at, was in enumerate(known)])
+        prior = prior._replace(joint=loosened(prior.joint, objects, {at: usual[at] for at in verdicts}))
     return Explained(after, fuse(after, prior))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -47,8 +46,7 @@ def test_what_comes_too_early_for_a_replacement_is_a_line_in_its_log_and_none_on
         live.goes_on()
     told = live.hierax("logs", "--run", run, "--node", "high", "--format", "json").stdout.splitlines()
     assert any("newcomer" in line for line in told), told
-    reasons = Counter(line.rpartition(": ")[2] for line in told if "refused" in line)
-    assert max(reasons.values(), default=0) <= 3, reasons
+    assert len([line for line in told if "refused" in line]) <= 3
     live.ends()
     assert not [line for line in live.launch.err if "refused" in line]
 

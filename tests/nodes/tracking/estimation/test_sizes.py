@@ -32,8 +32,34 @@ def three(off: tuple[float, ...] = (0.0, 0.0, 0.0), tolerance: float = 0.0) -> l
 def test_how_far_models_are_from_what_they_are_of_is_learned_from_all(
     off: tuple[float, ...], least: float, most: float
 ) -> None:
+    """Of three that are known to be as large as told, or by how much they are not; as if one more were as expected."""
     items = three(off)
-    assert least < sizes_of(items, together_of(items, [0, 1, 2], KNOWN), 1.0).alike < most
+    sizes = sizes_of(items, together_of(items, [0, 1, 2], KNOWN), 1.0)
+    assert least < sizes.alike < most
+    common = const.SIZES_TOGETHER
+    share = common / (1.0 - common + 3.0 * common)  # of the sum of all, what all have in common
+    each = np.array(off) / const.SIZES - share * sum(off) / const.SIZES
+    varied = 1e-8 / const.SIZES**2 * ((1.0 - share) ** 2 + 2.0 * share**2) + (1.0 - common) * share
+    squares = (each**2 + varied) / (1.0 - common)
+    assert sizes.alike == pytest.approx(np.sqrt((1.0 + squares.sum()) / 4.0))
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.001, -0.001, 0.002)])
+def test_what_is_told_is_that_sizes_are_as_their_models(off: tuple[float, ...]) -> None:
+    items = three(off)
+    sizes = sizes_of(items, together_of(items, [0, 1, 2], KNOWN), 1.0)
+    assert sizes.alike < 1.0
+    np.testing.assert_allclose(sizes.told[1], [1.0 / (1.0 + by) - 1.0 for by in off], atol=1e-12)
+
+
+def test_what_was_learned_is_not_learned_again() -> None:
+    items, alike = three((0.003, -0.003, 0.004)), 1.0
+    for _ in range(60):
+        alike = sizes_of(items, together_of(items, [0, 1, 2], KNOWN), alike).alike
+    again = sizes_of(items, together_of(items, [0, 1, 2], KNOWN), alike)
+    assert again.alike == pytest.approx(alike, abs=1e-9)
+    np.testing.assert_allclose(again.told[0], 0.0, atol=1e-3)
+    np.testing.assert_allclose(again.looser, 0.0, atol=1e-12)
 
 
 def test_what_all_are_off_alike_counts_less() -> None:
@@ -106,7 +132,8 @@ def test_a_model_that_turns_out_to_be_imprecise_says_less_of_the_size(tolerance:
     changed = after - joint
     assert np.linalg.eigvalsh(changed).min() > -1e-15
     rows = np.array([Rows.body(0).stop - 1, Rows.body(2).stop - 1])
-    np.testing.assert_allclose(changed[np.ix_(rows, rows)], by_tolerances([items[0], items[2]], [tolerance] * 2))
+    more = by_tolerances([items[0], items[2]], [tolerance] * 2)
+    np.testing.assert_allclose(changed[np.ix_(rows, rows)], more.covariance(1.0))
     changed[np.ix_(rows, rows)] = 0.0
     assert not changed.any()
     both = expected_sizes(three(tolerance=tolerance), const.SIZES).covariance(1.0)
