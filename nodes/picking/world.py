@@ -1,7 +1,7 @@
 """The world of the picking arm: cubes on a table, the arm, the camera in its hand. True poses are here alone."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,11 +43,12 @@ class PickWorld(CommandedNode, World):
     force. Nothing but friction holds a cube.
 
     The belief: ``frame``, ``time_s``, the arm (``joints`` (7,), ``speeds`` (7,), ``fingers`` (2,), ``finger_speeds``
-    (2,); rad, m, s), its controller (``targets`` (7,), rad; ``setpoint``, world_from_gripper; ``pace``, m/s), the
-    camera (``camera``, world_from_camera; ``intrinsics``, ``size``, ``noise``, ``blur_px``) and ``bodies``, a tuple of
-    ``id``, ``obj_id``, ``side_m``, ``colour``, ``pose`` (world_from_object), ``velocity`` (6,), ``floor_m`` (the height
-    that it began at), ``lift_m`` (how far it is above that) and ``held_s`` (how long it has been lifted and touched by
-    nothing but the fingers).
+    (2,); rad, m, s), its controller (``targets`` (7,), rad; ``setpoint``, world_from_gripper; ``pace``, m/s;
+    ``turns``, the world_from_gripper to which it goes by its joints, None where it goes straight), the camera
+    (``camera``, world_from_camera; ``intrinsics``, ``size``, ``noise``, ``blur_px``) and ``bodies``, a tuple of ``id``,
+    ``obj_id``, ``side_m``, ``colour``, ``pose`` (world_from_object), ``velocity`` (6,), ``floor_m`` (the height that it
+    began at), ``lift_m`` (how far it is above that) and ``held_s`` (how long it has been lifted and touched by nothing
+    but the fingers).
 
     Args:
         scene: number of the scene, from 0; cubes: how many cubes, from 1 to 6.
@@ -80,7 +81,7 @@ class PickWorld(CommandedNode, World):
         self._workcell = Workcell()
         arm = Arm(HOME_RAD, np.zeros(7), np.full(2, WIDEST_M / 2), np.zeros(2))
         gripper, focal = gripper_at(HOME_RAD), FOCAL_LENGTH * width
-        controller = {"targets": HOME_RAD, "setpoint": gripper, "pace": 0.0}
+        controller = {"targets": HOME_RAD, "setpoint": gripper, "pace": 0.0, "turns": None}
         intrinsics = np.array([focal, focal, (width - 1) / 2, (height - 1) / 2])
         pictures = {"size": (width, height), "noise": float(noise), "blur_px": float(blur_px)}
         camera = {"camera": camera_of(gripper), "intrinsics": intrinsics, **pictures}
@@ -105,13 +106,14 @@ class PickWorld(CommandedNode, World):
         targets, off = joints_for(setpoint, belief["targets"], _ITERATIONS, _NEAR)
         detour = _detour(actions[0]["gripper"], belief, off > _ASTRAY, interval_s) if actions else None
         if detour is not None:
-            targets, setpoint, pace = detour, gripper_at(detour), 0.0
+            targets, setpoint, pace = detour.targets, gripper_at(detour.targets), 0.0
         arm = Arm(*(belief[name] for name in Arm._fields))
         cubes = [Cube(body["side_m"], body["pose"], body["velocity"]) for body in belief["bodies"]]
         order = Order(belief["targets"], targets, width)
         arm, cubes, touches, guest = self._workcell.run(arm, cubes, order, STEP_HZ // self._fps, guest)
         frame = {"frame": belief["frame"] + 1, "time_s": (belief["frame"] + 1) / self._fps}
-        controller = {"targets": targets, "setpoint": setpoint, "pace": pace}
+        turns = actions[0]["gripper"] if detour is not None and not detour.ends else None
+        controller = {"targets": targets, "setpoint": setpoint, "pace": pace, "turns": turns}
         moved = zip(belief["bodies"], cubes, touches, strict=True)
         bodies = tuple(_moved(body, cube, touch, interval_s) for body, cube, touch in moved)
         camera = camera_of(gripper_at(arm.joints))
@@ -176,22 +178,32 @@ def _advanced(
     return along(setpoint, goal, pace * interval_s), pace
 
 
-def _detour(goal: Floats, belief: Value, blocked: bool, interval_s: float) -> Floats | None:
-    """The joints' angles an interval later where the arm does not go straight: as it cannot, or as the shortest turn
-    leads the wrist, which has less than a whole one, through its end. Then all joints turn to where they are to be, or
-    stay where that is nowhere. None: the straight way is free."""
+class _Detour(NamedTuple):
+    """A way by the joints."""
+
+    targets: Floats  # (7,) the joints' angles an interval later, rad
+    ends: bool  # whether it goes no farther
+
+
+def _detour(goal: Floats, belief: Value, blocked: bool, interval_s: float) -> _Detour | None:
+    """The way where the arm does not go straight: as it cannot, or as the shortest turn leads the wrist, which has less
+    than a whole one, through its end. Then all joints turn to where they are to be, or stay where that is nowhere. What
+    has begun so goes on so, until it is to come elsewhere: from its first step the straight way would lead back to
+    where it was blocked. None: the straight way is free."""
+    turns = belief["turns"] is not None and length_m(belief["turns"], goal) < _ASTRAY
     turn = log_so3(goal[:3, :3] @ belief["setpoint"][:3, :3].T)
-    if not blocked and float(np.linalg.norm(turn)) < WIDE_RAD:
+    if not blocked and not turns and float(np.linalg.norm(turn)) < WIDE_RAD:
         return None
     targets: Floats = belief["targets"]
     there, off = joints_for(goal, HOME_RAD)
     way = there - targets
     if off > _ASTRAY:
-        return targets if blocked else None
+        return _Detour(targets, True) if blocked else None
     # How far the hand, pointing down, turns about the vertical by the joints' way: the same, or by a whole turn less.
-    if not blocked and abs(turn[2] - (way[0] - way[-1])) <= np.pi:
+    if not blocked and not turns and abs(turn[2] - (way[0] - way[-1])) <= np.pi:
         return None
-    return targets + way * min(1.0, _TURN_RAD_S * interval_s / max(float(np.abs(way).max()), 1e-12))
+    part = _TURN_RAD_S * interval_s / max(float(np.abs(way).max()), 1e-12)
+    return _Detour(targets + way * min(1.0, part), part >= 1.0)
 
 
 def _moved(body: Mapping[str, Any], cube: Cube, touch: Touch, interval_s: float) -> dict[str, Any]:

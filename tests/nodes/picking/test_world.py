@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -210,3 +211,33 @@ def test_the_gripper_is_sooner_where_it_is_sent_if_it_speeds_up_faster() -> None
 def test_what_is_out_of_range_is_named(options: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         PickWorld(**options)
+
+
+def test_where_the_straight_way_ends_at_a_joints_limit_the_arm_goes_by_its_joints_all_the_way() -> None:
+    """From here it went by its joints for an interval, then straight back to where it could not go on, for ever."""
+    joints = np.array([1.1137, -1.162, -0.267693, -2.40201, 1.77551, 3.69443, -1.10187])
+    world, still = PickWorld(0, cubes=1), np.zeros(7)
+    begun = {**world.initial_belief(), "joints": joints, "targets": joints, "speeds": still}
+    belief = {**begun, "setpoint": gripper_at(joints)}
+    wanted, turning = command(HOME_GRIPPER, WIDEST_M, 0.4), []
+    for _ in range(100):
+        belief = after(world, belief, wanted, 1)
+        turning.append(belief["turns"] is not None)
+    distance, angle = pose_error(gripper_at(belief["joints"]), HOME_GRIPPER)
+    assert distance < 1e-3
+    assert angle < np.radians(0.3)
+    assert any(turning)
+    assert sum(now and not before for before, now in pairwise(turning)) == 1  # it begins once
+
+
+def test_what_is_to_come_elsewhere_meanwhile_goes_straight_there() -> None:
+    world = PickWorld(0, cubes=1)
+    begun = {**world.initial_belief(), "turns": gripper_down((0.3, 0.3, 0.4), 1.0)}
+    down = HOME_GRIPPER.copy()
+    down[2, 3] -= 0.1
+    belief, off = begun, []
+    for _ in range(40):
+        belief = after(world, belief, command(down, WIDEST_M, 0.2), 1)
+        off.append(float(np.linalg.norm(belief["setpoint"][:2, 3] - down[:2, 3])))
+    assert max(off) < 1e-5
+    assert pose_error(gripper_at(belief["joints"]), down)[0] < 1e-3
