@@ -17,6 +17,7 @@ from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.drift import joint_of, lasting
 from hierax.nodes.tracking.estimation.fusion import Known
 from hierax.nodes.tracking.estimation.ground import View, corrected, covered_by, told_by
+from hierax.nodes.tracking.estimation.palette import is_another
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.sizes import sizes_of
 from hierax.nodes.tracking.estimation.tracked import (
@@ -55,7 +56,7 @@ class ArmNode(Node):
         sure_score: a match that scores less is also looked for farther away.
         kept_score: an image that scores a pose below this does not support it.
         found_score: a lost object is found again at this score.
-        patience: images in a row without support until an object is lost.
+        patience: images that speak against an object, none of which supports it, until it is lost.
         prior: false: an image corrects poses as if nothing were known of them but where to look.
         model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; 0: models are
             exact, and as large as objects; None: the first image that shows enough of an object tells.
@@ -294,13 +295,12 @@ class ArmNode(Node):
         gone = _is_vague(item) or item["status"] == schema.LOST
         needed = self._found_score if gone else self._kept_score
         enough = const.LEAST_FOUND if gone else const.LEAST_SHOWN
-        # With less than no nats the image is explained better by clutter than by the object.
-        doubtful = estimate.nats < 0.0 or (gone and not estimate.sure)
+        doubtful = _speaks_against(estimate) or (gone and not estimate.sure)
         # Of an imprecise model edges may be missing: it is not by their share that one of them is there.
         doubtful |= estimate.score < needed and (gone or not estimate.slots["tolerance"])
         if estimate.shown < enough or doubtful:
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
-            searched = estimate.elsewhere and not item["others"]
+            searched = estimate.elsewhere and not item["others"] and not is_another(estimate.colours)
             guess = estimate.pose if searched and estimate.score > self._kept_score else expected
             return self._missed(item, guess, estimate)
         return {
@@ -318,6 +318,7 @@ class ArmNode(Node):
             "guesses": estimate.guesses,
             "status": schema.TRACKED,
             "misses": 0,
+            "denied": 0,
         }
 
     def _blind(self, item: schema.TrackedObject) -> schema.TrackedObject:
@@ -331,10 +332,11 @@ class ArmNode(Node):
 
     def _missed(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate | None) -> schema.TrackedObject:
         """One object that the image does not support: its prediction stands, until patience ends. That something which
-        nothing is to be seen of is not seen says nothing against it."""
+        nothing is to be seen of is not seen says nothing against it, nor does an image that clutter explains no
+        better."""
         hidden = estimate is None or float(item["controls"]["visible"].sum()) < const.LEAST_SHOWN
-        misses = item["misses"] + (not hidden)
-        lost = item["status"] == schema.LOST or misses >= self._patience
+        denied = item["denied"] + int(not hidden and estimate is not None and _speaks_against(estimate))
+        lost = item["status"] == schema.LOST or denied >= self._patience
         score = 0.0 if lost or estimate is None else estimate.score
         motion_scale = item["motion_scale"] if hidden or _is_vague(item) else 1.0
         return {
@@ -344,7 +346,8 @@ class ArmNode(Node):
             "nats": 0.0 if estimate is None else estimate.nats,
             "probability": 0.0,
             "status": schema.LOST if lost else schema.EXPECTED,
-            "misses": misses,
+            "misses": item["misses"] + (not hidden),
+            "denied": denied,
             "motion_scale": motion_scale,
             "failed_searches": item["failed_searches"] if estimate is None else _failed_searches(item, estimate),
             "guesses": NO_POSES if estimate is None else estimate.guesses,
@@ -352,16 +355,21 @@ class ArmNode(Node):
         }
 
 
+def _speaks_against(estimate: Estimate) -> bool:
+    """Whether an image is explained better without an object, or shows something else in its place."""
+    return estimate.nats < 0.0 or bool(is_another(estimate.colours))
+
+
 def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> schema.TrackedObject:
     """An object after it was looked for; one that was found just now gives way to what explains its place better. It is
-    not found before so many images in a row have said so of one pose."""
+    not found before so many images in a row have said so of one pose, unless its colours say so."""
     if sighting.pose is None or sighting.covariance is None:
         if item["status"] == schema.EXPECTED:
             return {**item, "guesses": np.concatenate((sighting.guesses, item["guesses"]))}
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
         return {**unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
     said = 1 + item["probation"] * (sighting.again and item["status"] == schema.LOST)
-    if said < const.CONFIRMED:
+    if said < const.CONFIRMED and not sighting.known:
         guesses = np.concatenate((sighting.pose[None], sighting.guesses))
         looked = max(item["failed_searches"], const.SWEEPS_FIRST)
         return {**unseen(item), "guesses": guesses, "probation": said, "failed_searches": looked}
@@ -378,6 +386,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         "trend": np.zeros(6),
         "status": schema.TRACKED,
         "misses": 0,
+        "denied": 0,
         "probation": const.PROBATION,
         "failed_searches": 0,
         "guesses": sighting.guesses,

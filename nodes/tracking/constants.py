@@ -16,7 +16,7 @@ CAMERA_M, CAMERA_RAD = 0.0015, 0.0025
 # Scores, 0 to 1: a match below the first is looked for farther away; an image below the second does not support a pose,
 # nor keeps one from being found elsewhere than a push reaches; above the third what is lost may be found.
 SURE_SCORE, KEPT_SCORE, FOUND_SCORE = 0.75, 0.35, 0.7
-PATIENCE = 10  # images in a row without support until an object is lost
+PATIENCE = 10  # images that speak against an object, until it is lost
 VELOCITY_GAIN = 0.4  # how far a velocity follows the last observed one
 PHYSICS_SIGMAS = 3.0  # standard deviations of a pose by which physics may move it from where it goes by itself
 BODY_FRICTION = 0.5  # Coulomb's coefficient of tracked bodies
@@ -94,7 +94,7 @@ RESTING_M_S, RESTING_RAD_S = 0.1, 0.3  # and how fast one moves that is not
 FLAT_M, BASE_M = 0.004, 0.003  # what lies on a face has corners no higher above the lowest, and spread as far
 MOVES_SIGMAS, STOPPED_SIGMAS = 4.0, 1.0  # a mean displacement that has a body at rest move, and one that moves rest
 TURNING = 6.0  # rad/s for a m/s: faster than this, beside how it moves, a body about to turn over turns
-ACCELERATION = np.array([10.0, 150.0])  # largest of a body that is believed: m/s², rad/s²
+ACCELERATION = np.array([20.0, 300.0])  # largest of a body that is believed: m/s², rad/s²
 DAMPING = 0.1  # how fast a body without a table slows down, 1/s
 # Standard deviation of how far one goes that is not seen, for every metre that it was on its way to go.
 UNSURE = 0.2
@@ -113,6 +113,7 @@ LEAST_CLUTTER = 0.02  # peaks a pixel: so many there may be where a profile show
 # Points of one face look alike: standard deviation of their colours in grey levels, the share of them that do, and what
 # they say together, by this exponent; standard deviation of the colours of places anywhere, at least.
 PAINT, PAINTED, PAINT_ALIKE, LEAST_VARIED = 10.0, 0.8, 0.05, 30.0
+DYE_LEAST = 0.1  # of an object's most frequent colour, what is a smaller share was seen beside it
 ALIKE = 0.15  # control points of one edge err alike: what they say together counts by this exponent
 
 # Imprecise models: standard deviations of where edges may be beside a model's, m; control points that should be seen of
@@ -125,7 +126,6 @@ BETTER, UNLIKELIEST, EVENT = 0.03, 0.25, 0.18
 EVENT_SEEN, MUCH = 0.08, 0.12  # the last where a still camera sees less of it; a share that is clearly more
 PUSH_SQUARED = 36.0  # variances: what the image supports is no farther than a push can have moved it
 CHANCE = 0.5  # what a control point speaks for a pose by chance: what is not seen speaks against it
-FAMILIAR = 0.3  # what a control point speaks for it besides that looks as it is remembered
 CLEARLY = 1.5  # control points by which a candidate must be better than any that differs from it
 CLAIM_PX = 2.5  # so near to an edge of an object that is surely seen, an edge is claimed by it
 APART_M, APART_RAD = 0.008, 0.14  # poses that are farther apart differ
@@ -141,8 +141,8 @@ OTHERS_SHARE = 0.1  # of a body's covariance, so much is left around each of its
 # By so many nats a pose has to explain the image better than clutter does: of the tens of thousands that were tried (e
 # to the 11th) it is then right with odds of 20 to 1 at least, of 3000 to 1 where fewer of its points are found.
 LEAST_NATS, SURE_NATS = 14.0, 19.0
-# And by so much better than any other choice, nats, of which so many have to be its edges', and with so many control
-# points in sight: on generator A (tower, hidden 0, low contrast 0) right ones have at least 7.5, 8.2 and 52.
+# And by so much better than any other choice, nats, of which so many have to be its edges' and its known colours'; so
+# many control points in sight: on generator A (tower, hidden 0, low contrast 0) right ones have at least 7.5, 8.2, 52.
 CLEAR_NATS, LEAST_EDGES, LEAST_IN_SIGHT = 6.0, 8.0, 40.0
 SWEEPS_FIRST = 3  # so often all that are missing have to be looked for before one is believed
 CONFIRMED, PROBATION = 3, 20  # images that have to show one in one place, or hanging; after which it is not doubted
@@ -178,6 +178,7 @@ GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 5), np.linspace(-1.5, 1.5, 5)
 # Gauss-Newton steps and control points of the first look at an object's starts; poses that are added up in one go.
 FIRST_ITERATIONS, FEW_POINTS, MANY = 3, 30, 16
 AROUND = np.random.default_rng(1).normal(size=(4, 12, 6))  # where tries begin, in turns, standard deviations
+TIPPED_WAYS, TIPPED_RAD = np.linspace(0.0, 2.0 * np.pi, 9)[:-1], (0.12, 0.25)  # towards where something may tip over
 FAILED_AT_ONCE, FAILED_EVERY = 5, 8  # what was not found in so many images is looked for in one of every so many
 AT_ONCE, GUESSES = 8, 3  # poses that are imagined of a body for one image, and that are kept of it
 NEARLY_DOWN = 0.5  # cosine: on faces no farther from down one is imagined to rest that is seen where it cannot
@@ -208,6 +209,11 @@ TRY_PX, TRY_RAD = 5.0, 0.09  # steps of the closer look
 LEAST_CHANCE = 0.02  # control points that are less likely to be seen are left out
 SAMPLES = np.random.default_rng(0).normal(size=(512, 6))  # of which probabilities are shares
 EDGE_EASE = 1e-5  # share of a patch's slopes that is counted along its edge, where there are none
+# Chromaticities told apart, by red's share and by green's (gray is in the middle of one); every so many pixels of an
+# image; how far one is blurred, steps; what share of an image may be anything.
+DYES, DYE_STEP, DYE_SOFT, DYE_ANY = 25, 4, 1.0, 0.01
+LEANING_RAD = np.pi / 8  # how far something is taken to have leant over that has fallen: any such angle tells both ways
+FOOT = 0.25  # share of its height in which a body has its foot
 COVER_PX = 8  # side of a cell that something covers, or nothing
 ERROR_STEP, TEXTURE_ITERATIONS = 1e-5, 5  # m and rad, of derivatives; reweighted least squares
 TWO_MEDIAN = 1.386  # of the squared length of what is normally distributed in two dimensions, of variance 1

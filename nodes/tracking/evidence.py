@@ -12,6 +12,7 @@ from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.certainty import present
 from hierax.nodes.tracking.estimation.joint_alignment import Task, prior_of, task_of
 from hierax.nodes.tracking.estimation.likelihood import Shares, expected, explains, shares
+from hierax.nodes.tracking.estimation.palette import dyed
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.stages import moves_of
 from hierax.nodes.tracking.estimation.tracked import dashes
@@ -60,11 +61,12 @@ class Evidence(NamedTuple):
     item: TrackedObject
     others: tuple[Other, ...]  # best first
     prior: float | None  # how likely the pose was before the image; None where the prediction is not known
-    nats: float  # by how much the pose explains the image better than clutter does: the sum of the next four
+    nats: float  # by how much the pose explains the image better than clutter does: the sum of the next five
     found: float  # of control points that speak for it
     missing: float  # of those that speak against it: where they should be seen nothing is near
     looks: float  # of peaks that look strange
     wholes: float  # of edges that are off as a whole
+    colours: float  # of its faces, that they have its colours
     edges: tuple[Edge, ...]  # those that speak for it most first
 
     def text(self) -> str:
@@ -72,7 +74,7 @@ class Evidence(NamedTuple):
         item = self.item
         exists = float(present(np.array(item["nats"]))) if item["status"] == TRACKED else 0.0
         parts = [("found", self.found), ("not found", self.missing), ("strange looks", self.looks)]
-        parts.append(("edges off as a whole", self.wholes))
+        parts += [("edges off as a whole", self.wholes), ("colours", self.colours)]
         prior = "" if self.prior is None else f"; how far it is from the prediction {self.prior:+.1f}"
         head = (
             f"### object {item['id']}: {item['status']}\n\n"
@@ -117,18 +119,21 @@ def evidence(
     believed, expected_there = _aligned(task, task.start.poses), _aligned(task, predicted)
     if believed is None or expected_there is None:
         return []
-    parts, nats, before_nats = shares(believed), explains(believed), explains(expected_there)
+    colours = dyed(believed, task.palette, range(len(objects)))
+    parts, nats = shares(believed), explains(believed) + colours
+    before_nats = explains(expected_there) + dyed(expected_there, task.palette, range(len(objects)))
     spread = task.prior.spread()
     unlikely = 0.5 * squared(log_many(invert_many(predicted) @ task.start.poses), inverse(spread))
     asked = {item["id"]: item["others"] for item in kept["objects"]}
     found = []
     for at, item in enumerate(objects):
-        others = _others(task, item, asked.get(item["id"], ()))
+        others = _others(task, item, at, asked.get(item["id"], ()))
         if item["id"] in known:
             others.append(_other("as predicted", item, predicted[at], item["edges"], float(before_nats[at])))
         prior = -float(unlikely[at]) if item["id"] in known else None
         best = tuple(sorted(others, key=lambda each: -each.nats))
-        found.append(Evidence(item, best, prior, float(nats[at]), *_said(believed, parts, at, intrinsics)))
+        said, edges = _said(believed, parts, at), _edges(believed, parts, at, intrinsics)
+        found.append(Evidence(item, best, prior, float(nats[at]), *said, float(colours[at]), edges))
     return found
 
 
@@ -149,8 +154,9 @@ def _aligned(task: Task, poses: Floats) -> Aligned | None:
     return align(task.image, task.controls, start, task.intrinsics, task.memory, task.search)
 
 
-def _others(task: Task, item: TrackedObject, others: Sequence[Alternative]) -> list[Other]:
-    """Poses that an object is compared with, each moved to where the image has it."""
+def _others(task: Task, item: TrackedObject, at: int, others: Sequence[Alternative]) -> list[Other]:
+    """Poses that an object, the one at that place of the task, is compared with, each moved to where the image has
+    it."""
     others = [other for other in others if len(other["controls"]["points"])]
     if not others:
         return []
@@ -161,10 +167,11 @@ def _others(task: Task, item: TrackedObject, others: Sequence[Alternative]) -> l
     aligned = align(task.image, controls, start, task.intrinsics, memory, task.search)
     if aligned is None:
         return []
+    nats = explains(aligned) + dyed(aligned, task.palette, [at] * len(others))
     names = ["compared before" if other["kept"] else "imagined" for other in others]
     return [
-        _other(name, item, pose, dashes(other["controls"]), nats)
-        for name, other, pose, nats in zip(names, others, aligned.poses, explains(aligned).tolist(), strict=True)
+        _other(name, item, pose, dashes(other["controls"]), said)
+        for name, other, pose, said in zip(names, others, aligned.poses, nats.tolist(), strict=True)
     ]
 
 
@@ -173,17 +180,19 @@ def _other(name: str, item: TrackedObject, pose: Floats, edges: Floats, nats: fl
     return Other(name, pose, edges, nats, 1000.0 * distance_m, float(np.degrees(angle_rad)))
 
 
-def _said(
-    aligned: Aligned, parts: Shares, at: int, intrinsics: Array
-) -> tuple[float, float, float, float, tuple[Edge, ...]]:
-    """What the edges of one of the objects say of its pose, as the last fields of `Evidence` have it."""
+def _said(aligned: Aligned, parts: Shares, at: int) -> tuple[float, float, float, float]:
+    """What the edges of one of the objects say of its pose: found, missing, looks and wholes of `Evidence`."""
     own = aligned.stage.controls.owners == at
-    numbers = np.unique(aligned.stage.edges[own])
-    edges = sorted((_edge(aligned, parts, each, intrinsics) for each in numbers), key=lambda edge: -edge.nats)
-    peaks = parts.peaks[own]
-    nats = (np.maximum(peaks, 0.0), np.minimum(peaks, 0.0), parts.looks[own], parts.wholes[numbers])
-    found, missing, looks, wholes = (float(each.sum()) for each in nats)
-    return found, missing, looks, wholes, tuple(edges)
+    peaks, wholes = parts.peaks[own], parts.wholes[np.unique(aligned.stage.edges[own])]
+    found, missing = float(np.maximum(peaks, 0.0).sum()), float(np.minimum(peaks, 0.0).sum())
+    return found, missing, float(parts.looks[own].sum()), float(wholes.sum())
+
+
+def _edges(aligned: Aligned, parts: Shares, at: int, intrinsics: Array) -> tuple[Edge, ...]:
+    """One of the objects' edges, those that speak for its pose most first."""
+    numbers = np.unique(aligned.stage.edges[aligned.stage.controls.owners == at])
+    edges = (_edge(aligned, parts, each, intrinsics) for each in numbers)
+    return tuple(sorted(edges, key=lambda edge: -edge.nats))
 
 
 def _edge(aligned: Aligned, parts: Shares, number: int, intrinsics: Array) -> Edge:

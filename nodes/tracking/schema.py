@@ -183,6 +183,8 @@ class Looks(TypedDict):
     bent: Annotated[NDArray[np.int64], Is(("b",), "int64", "numbers of edges, ascending")]
     bends: Annotated[Floats, Is(("b", 3), "float64", "m, object's frame")]  # where they are beside the model's
     slack: Annotated[Floats, Is(("b", 3, 3), "float64", "m², object's frame")]  # covariance of that
+    dye: Annotated[NDArray[np.float32], Is(("k",), "float32", "share of its places that have each chromaticity")]
+    dyed: float  # frames that this comes from
 
 
 class _SentObject(TypedDict):
@@ -211,6 +213,7 @@ class TrackedObject(PaperObject, MayLookAlike):
     before: CameraFromObject  # its pose an image earlier
     nats: float  # by how much it explains the image better than clutter does
     probability: float  # that it is within 5 mm and 5° of the truth; 0 where no image says so
+    denied: int  # how many of its misses speak against it
     # for how many more images it may turn out to be elsewhere; of one that is missing, how many said where it is
     probation: int
     # running mean of how far images had it from its predictions

@@ -13,7 +13,19 @@ from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.imagery.alternatives import Footing, elsewhere, footing_of, resting, set_down, tops_behind
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
-from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
+from hierax.nodes.tracking.math.geometry import (
+    NO_POSES,
+    Floats,
+    exp_se3,
+    exp_so3,
+    invert,
+    log_se3,
+    log_so3,
+    make_pose,
+    unit,
+)
+from hierax.nodes.tracking.model.mesh import Mesh
+from hierax.nodes.tracking.model.symmetry import alike, found_symmetry
 from hierax.nodes.tracking.render import is_missing
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
@@ -69,6 +81,7 @@ class SpatialNode(Node):
             for body in self._bodies
         }
         self._footings: dict[int, Footing] = {}  # by body, as they are asked for
+        self._likenesses: dict[int, schema.Symmetry] = {}  # likewise
 
     def initial_belief(self) -> schema.SpatialBelief:
         """The bodies at their first poses, at rest; no camera yet."""
@@ -131,7 +144,7 @@ class SpatialNode(Node):
             after = [_hanging(body) for body in after]
         present = {body["id"]: self._looked_for(body, belief, interval_s) for body in after}
         sweeping = _swept_next(belief) if self._table else None
-        every = tuple(present.get(body["id"]) or _sought(body, sweeping or ()) for body in belief["bodies"])
+        every = tuple(present.get(body["id"]) or self._sought(body, sweeping or ()) for body in belief["bodies"])
         return {**belief, "bodies": every, "sweeping": sweeping, "carried": tuple(sorted(carried))}
 
     def metrics(self, belief: schema.SpatialBelief) -> Mapping[str, float]:
@@ -201,7 +214,7 @@ class SpatialNode(Node):
         if belief["camera"] is not None and _is_to_be_set_down(body):
             return self._set_down(body, belief, belief["camera"][:3, 3])
         moved = [self._coasted(Motion(guess, body["velocity"]), interval_s).pose for guess in body["guesses"]]
-        return _with_others(body, np.array(moved).reshape(-1, 4, 4))
+        return _with_others(body, self._turned_least(body, np.array(moved).reshape(-1, 4, 4)))
 
     def _set_down(self, body: schema.Body, belief: schema.SpatialBelief, eye: Floats) -> schema.Body:
         """A body that is seen where it cannot rest, with the poses in which it may: on the table, or on what stands
@@ -213,6 +226,23 @@ class SpatialNode(Node):
         heights = [0.0, *tops_behind(body["pose"], below, eye)]
         others = set_down(body["pose"], self._footings[number], eye, heights, body["hangs"] // const.CONFIRMED)
         return {**body, "others": others, "kept": 0}
+
+    def _sought(self, body: schema.Body, sweeping: tuple[int, ...]) -> schema.Body:
+        """A missing body for the next image, with the poses that the arm guesses."""
+        guesses = self._turned_least(body, body["guesses"])
+        return {**body, "others": guesses, "kept": len(guesses), "turn": body["turn"] + (body["id"] in sweeping)}
+
+    def _turned_least(self, body: schema.Body, guesses: Floats) -> Floats:
+        """(n, 4, 4) poses at which a body that was seen before looks as at each guess (n, 4, 4), those to which it has
+        turned least from where it was imagined last, falling over the way it went: outlines do not tell its sides,
+        whatever is said of its symmetry."""
+        if not self._table or not body["known"] or not body["sought"] or not len(guesses):
+            return guesses
+        number, model = body["id"], body["model"]
+        if number not in self._likenesses:
+            self._likenesses[number] = found_symmetry(Mesh(model["vertices"], model["faces"]))
+        likeness = self._likenesses[number]
+        return np.stack([alike(likeness, guess[None], _leaning(body, guess))[0] for guess in guesses])
 
     def _bounded(self, body: schema.Body, free: Motion, physical: Motion) -> Motion:
         """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks. Where
@@ -280,10 +310,12 @@ def _is_swept(body: schema.Body, belief: schema.SpatialBelief) -> bool:
     return is_missing(body, belief) or (body["sought"] and body["known"] and body["unseen"] > 1)
 
 
-def _sought(body: schema.Body, sweeping: tuple[int, ...]) -> schema.Body:
-    """A missing body for the next image, with the poses that the arm guesses."""
-    guesses = body["guesses"]
-    return {**body, "others": guesses, "kept": len(guesses), "turn": body["turn"] + (body["id"] in sweeping)}
+def _leaning(body: schema.Body, guess: Floats) -> Floats:
+    """(4, 4) a body's pose, from which it leans the way it has gone to a guess (4, 4), the more the farther that is."""
+    way = guess[:3, 3] - body["pose"][:3, 3]
+    part = min(1.0, float(np.hypot(way[0], way[1])) / float(_extents(body["model"]["vertices"]).max()))
+    axis = unit(np.array([-way[1], way[0], 0.0]))
+    return make_pose(exp_so3(const.LEANING_RAD * part * axis) @ body["pose"][:3, :3], body["pose"][:3, 3])
 
 
 def _limited(change: Floats, most: Floats) -> Floats:

@@ -4,7 +4,7 @@ For each side of each edge where the object is (a face, always lit alike while t
 the matched place is remembered. A peak with another colour on that side is strange: probably an edge of something else.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,11 @@ NOTHING: Looks = {
     "bent": np.zeros(0, dtype=np.int64),
     "bends": np.zeros((0, 3)),
     "slack": np.zeros((0, 3, 3)),
+    "dye": np.zeros(0, dtype=np.float32),
+    "dyed": 0.0,
 }
+
+_LASTING: Final = ("tolerance", "size", "bent", "bends", "slack", "parts", "hits", "dye", "dyed")
 
 
 class Memory(NamedTuple):
@@ -110,9 +114,9 @@ def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> 
 
 def only_found(slots: Looks) -> Looks:
     """What is remembered of an object in another light, or in another place, where it may be another of the sides that
-    look alike that is seen: where its edges are, and which parts of them are found."""
-    model: Looks = {**NOTHING, "tolerance": slots["tolerance"], "size": slots["size"], "bent": slots["bent"]}
-    return {**model, "bends": slots["bends"], "slack": slots["slack"], "parts": slots["parts"], "hits": slots["hits"]}
+    look alike that is seen: where its edges are, which parts of them are found, and what colours it has."""
+    kept = {name: slots[name] for name in _LASTING}
+    return cast(Looks, {**NOTHING, **kept})
 
 
 def measured(slots: Looks, edges: NDArray[np.int64], offsets: Floats) -> Looks:

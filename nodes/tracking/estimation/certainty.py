@@ -8,14 +8,15 @@ from hierax.nodes.tracking.math.geometry import Floats
 
 def present(nats: Floats, given: Floats | float = 1.0) -> Floats:
     """(m,) the probability that the image is explained by the object and not by clutter, both as likely before, by nats
-    (m,) of `likelihood.explains`; given: the probability of something else, if it is; then of both."""
+    (m,) of `likelihood.explains` and `palette.dyed`; given: the probability of something else, if it is; then of
+    both."""
     return np.asarray(given / (1.0 + np.exp(-np.clip(nats, -50.0, 50.0))))
 
 
 def right(covariances: Floats, nats: Floats) -> Floats:
     """(m,) the probability that poses are within 5 mm and 5° of the truth: that the image is explained by the object
     and not by clutter, both as likely before, and that an object which is there is no farther from its pose than its
-    covariance (m, 6, 6), m² and rad², allows; nats: (m,) of `likelihood.explains`."""
+    covariance (m, 6, 6), m² and rad², allows; nats: (m,) as for `present`."""
     twists = np.einsum("mij,sj->msi", np.linalg.cholesky(covariances), const.SAMPLES)
     near = np.linalg.norm(twists[..., :3], axis=2) < const.RIGHT_M
     near &= np.linalg.norm(twists[..., 3:], axis=2) < const.RIGHT_RAD

@@ -14,6 +14,7 @@ from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.fusion import Fused, Known, Prior, fuse
+from hierax.nodes.tracking.estimation.palette import palette_of
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
@@ -37,6 +38,7 @@ class Task(NamedTuple):
     start: Start  # where the objects are expected, with room for motion
     search: Search  # how the image is searched
     prior: Prior  # what is known before it
+    palette: Floats | None  # of `hierax.nodes.tracking.estimation.palette.palette_of`: what the objects' colours tell
 
 
 class Explained(NamedTuple):
@@ -64,7 +66,8 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     symmetries = [item.get("symmetry", NONE) for item in objects]
     told = None if all(map(is_plain, symmetries)) else np.stack([open_to(each) for each in symmetries])
     start = Start(predicted, inverse(free.spread()), prior.camera, told)
-    return Task(image, controls, memory, intrinsics, start, near, prior)
+    palette = palette_of(image, [item["slots"] for item in objects])
+    return Task(image, controls, memory, intrinsics, start, near, prior, palette)
 
 
 def prior_of(objects: Sequence[TrackedObject], motion: Floats, known: Known | None) -> Prior:

@@ -65,28 +65,3 @@ def _wholes(aligned: Aligned, said: Floats) -> Floats:
     lines = np.bincount(stage.edges, weights=said)
     there = np.logaddexp(np.log(const.FOUND) + lines - costs, np.log(1.0 - const.FOUND))
     return np.asarray(np.where(stage.loose, there - lines, -costs))
-
-
-def painted(aligned: Aligned) -> Floats:
-    """(m,) nats by which, at each pose, what lies beside the edges of one face looks alike, rather than as anything."""
-    stage, count = aligned.stage, len(aligned.poses)
-    controls, profiles = stage.controls, stage.profiles
-    rows, reach = np.arange(len(controls.owners)), (profiles.places.shape[1] - 1) // 2
-    found = np.isfinite(aligned.matches.pixels)
-    places = np.where(found, profiles.places[rows, aligned.matches.columns], 0.0)
-    places += np.where(found, aligned.matches.pixels, 0.0)  # where the poses put them
-    columns = np.clip(np.rint(places), -reach, reach).astype(np.intp) + reach
-    twice = np.nonzero(controls.creases)[0]
-    which = np.concatenate((rows, twice))
-    colours = np.concatenate((profiles.inside[rows, columns], profiles.outside[twice, columns[twice]]))
-    patches = np.concatenate((controls.faces[:, 0], controls.faces[twice, 1])) + 1
-    faces = np.unique(controls.owners[which] * (int(patches.max(initial=0)) + 1) + patches, return_inverse=True)[1]
-    varied = max(const.LEAST_VARIED, float(profiles.outside.std(axis=(0, 1)).mean()))
-    nats = np.zeros(len(which))
-    for face in range(int(faces.max(initial=-1)) + 1):
-        own = np.nonzero(faces == face)[0]
-        off = ((colours[own] - np.median(colours[own], axis=0)) ** 2).mean(axis=1)
-        ratio = varied / const.PAINT * np.exp(0.5 * np.minimum(off / varied**2, 9.0) - 0.5 * off / const.PAINT**2)
-        own_nats = np.log(const.PAINTED * ratio + 1.0 - const.PAINTED)
-        nats[own] = own_nats * max(0.0, 1.0 - 4.0 / len(own))  # the face's own colour is not known before
-    return const.PAINT_ALIKE * summed(controls.owners[which], controls.visible[which] * nats, count)

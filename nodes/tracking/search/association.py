@@ -25,6 +25,7 @@ from hierax.nodes.tracking.estimation.joint_alignment import (
     task_of,
 )
 from hierax.nodes.tracking.estimation.likelihood import explains
+from hierax.nodes.tracking.estimation.palette import dyed, with_colours
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
@@ -61,6 +62,7 @@ class Estimate(NamedTuple):
     score: float  # 0 to 1
     shown: float  # how many control points should have been seen
     nats: float  # by how much it explains the image better than clutter does
+    colours: float  # nats of these that are said by what colours it has there
     probability: float  # that the pose is right, see `hierax.nodes.tracking.estimation.certainty`
     slots: Looks  # what is remembered of its looks
     failed_searches: int  # for how many images in a row it was looked for elsewhere and not found there
@@ -99,18 +101,20 @@ def associate(
     best = explained(task)
     if best is None:
         return None
-    found = _found(best, task.start.poses)
+    found = _found(best, task)
     doubtful = _doubtful(found, objects, options)
     again = explained_again(task, best, doubtful)
     if again is not None:
-        best, found = again, _found(again, task.start.poses)
+        best, found = again, _found(again, task)
         doubtful = _doubtful(found, objects, options)
     verdicts = models_judged(task, best, objects, found, options.tolerance)
     loosely = explained_with(task, best, verdicts, objects)
     if loosely is not None:
-        best, found = loosely, _found(loosely, task.start.poses)
-        nats = {at: verdict.nats for at, verdict in verdicts.items() if verdict is not None}
-        found.nats[list(nats)] = list(nats.values())
+        best, found = loosely, _found(loosely, task)
+        for at, verdict in verdicts.items():
+            if verdict is not None:
+                found.colours[at] = dyed(verdict.aligned, task.palette, [at] * len(verdict.aligned.poses))[verdict.at]
+                found.nats[at] = verdict.nats + found.colours[at]
         doubtful = _doubtful(found, objects, options)
     judged = looks_after(verdicts, objects, intrinsics)
     shift, fused = exp_many(best.fused.shift[None])[0], found.poses
@@ -132,17 +136,19 @@ def associate(
     return Associated(shift, best.fused.drift, estimates, together, best.fused.older)
 
 
-def _found(explained: Explained, predicted: Floats) -> Found:
+def _found(explained: Explained, task: Task) -> Found:
     """What is found where objects are expected, the camera's error corrected."""
-    aligned, fused = explained
+    (aligned, fused), predicted = explained, task.start.poses
     count = len(predicted)
+    colours = dyed(aligned, task.palette, range(count))
     return Found(
         exp_many(fused.shift[None])[0] @ predicted @ exp_many(fused.own),
         fused.covariance,
         aligned.scores,
         aligned.shown,
         aligned.gains,
-        explains(aligned),
+        explains(aligned) + colours,
+        colours,
         fused.motion_scale,
         fused.trend,
         np.zeros(count, dtype=bool),
@@ -246,6 +252,8 @@ def _learned(
         columns = aligned.matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
         known = remembered(known, controls, chosen, colours)
+        if at in kept and not item["probation"] and found.colours[at] >= 0.0:
+            known = with_colours(known, aligned, at, found.nats[at] - found.colours[at])
         still = _is_still(item, found.motion_scale[at])
         exact = still and not known["tolerance"]
         known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if exact else known
@@ -264,6 +272,7 @@ def _estimates(found: Found, learned: list[Looks], failed_searches: list[int]) -
             float(found.scores[at]),
             float(found.shown[at]),
             float(found.nats[at]),
+            float(found.colours[at]),
             float(probability[at]),
             slots,
             failed_searches[at],

@@ -16,7 +16,8 @@ from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.joint_alignment import flat
-from hierax.nodes.tracking.estimation.likelihood import explains, painted, shares
+from hierax.nodes.tracking.estimation.likelihood import explains, shares
+from hierax.nodes.tracking.estimation.palette import dyed, is_another, painted, palette_of
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
@@ -47,6 +48,7 @@ class Sighting(NamedTuple):
     score: float = 0.0
     nats: float = 0.0  # by how much it explains the image better than clutter does
     again: bool = False  # whether the image before said the same
+    known: bool = False  # whether it is known by its colours
 
 
 def look_for_missing(
@@ -66,13 +68,13 @@ def look_for_missing(
         sweeps: of some that are missing; intrinsics: (4,) fx, fy, cx, cy in pixels.
         level: (4,) unit vector upwards, camera's frame, and how high the camera is above the table, m.
     """
-    search = _Search(image, intrinsics, level)
     recent = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["probation"]]
     shown = dict(missing)
     for at in recent:
         shown[at] = [{"pose": objects[at]["pose"], "controls": objects[at]["controls"], "kept": True}]
     if not sweeps and not any(missing.values()):
         return {}
+    search = _Search(image, intrinsics, level, palette_of(image, [item["slots"] for item in objects]))
     maps = maps_of(image)
     settled = [item for at, item in enumerate(objects) if at not in recent]
     beside = maps.without(_outlines(settled, intrinsics))
@@ -87,7 +89,7 @@ def look_for_missing(
         known = found.get(at, Sighting(NO_POSES))
         if known.pose is not None:
             continue
-        fresh = _fresh(search, maps, only_found(objects[at]["slots"]), sweep)
+        fresh = _fresh(search, maps, objects, at, sweep)
         found[at] = known._replace(guesses=np.concatenate((known.guesses, fresh)))
     return found
 
@@ -96,6 +98,7 @@ class _Search(NamedTuple):
     image: Image
     intrinsics: Array
     level: Floats
+    palette: Floats | None
 
     def aligned(
         self,
@@ -147,12 +150,18 @@ def _judged(
     fine, unlikely, covariance = found
     told = shares(fine)
     beside = painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics)
+    others = np.stack([dyed(fine, search.palette, [at] * len(rows)) for at in missing])
+    colours = dyed(fine, search.palette, whose)
+    is_like = others > const.CLEAR_NATS  # of each of them whether it has these colours
+    known = (colours > const.CLEAR_NATS) & (is_like.sum(axis=0) == 1)
+    beside += colours
     boxes = np.stack([_box(each) for each in controls])
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
     owners = fine.stage.controls.owners
     edges = [lines[(owners == row) & fine.supported] for row in range(len(rows))]
     worth = nats + beside - unlikely
-    return Judged(whose, fine, nats, worth, covariance, boxes, edges, told.peaks + told.looks, beside)
+    worth[is_another(colours)] = -np.inf
+    return Judged(whose, fine, nats, worth, covariance, boxes, edges, told.peaks + told.looks, beside, colours, known)
 
 
 def _jump(poses: Floats, fine: Aligned, nats: Floats, owners: Array, intrinsics: Array) -> Floats | None:
@@ -202,9 +211,9 @@ def _decided(
         gained = 0.0 if row is None else together.gained(row, chosen.values())
         sure = (
             row is not None
-            and ready
+            and (ready or judged.known[row])
             and worth[row] + gained > least[row]
-            and judged.nats[row] + gained > const.LEAST_EDGES
+            and judged.nats[row] + judged.colours[row] + gained > const.LEAST_EDGES
             and fine.shown[row] > const.LEAST_IN_SIGHT
         )
         if row is not None and sure:
@@ -213,7 +222,8 @@ def _decided(
         guesses = fine.poses[kept] if kept else NO_POSES
         found[at] = Sighting(guesses)
         if row is not None and sure:
-            said = float(fine.scores[row]), float(judged.nats[row]), _is_again(fine.poses[row], objects[at])
+            nats = float(judged.nats[row] + judged.colours[row])
+            said = float(fine.scores[row]), nats, _is_again(fine.poses[row], objects[at]), bool(judged.known[row])
             found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], *said)
     return found
 
@@ -271,18 +281,20 @@ def _outlines(objects: Sequence[TrackedObject], intrinsics: Array) -> list[Float
     return [pixels_of(transform(item["pose"], item["controls"]["points"]), intrinsics) for item in seen]
 
 
-def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:
-    """(n, 4, 4) the poses of a sweep that explain the image best."""
+def _fresh(search: _Search, maps: Maps, objects: Sequence[TrackedObject], at: int, sweep: Sweep) -> Floats:
+    """(n, 4, 4) the poses of a sweep, of one of the objects, that explain the image best."""
     if not len(sweep["places"]):
         return NO_POSES
     proposed = swept(maps, sweep, search.intrinsics)
     controls = [sweep["templates"][number]["controls"] for number in proposed.templates]
     seen = uncovered(maps, proposed.poses, controls, search.intrinsics)
-    found = search.aligned(seen, [looks] * len(seen), proposed.poses, ROUGH, const.ROUGH_POINTS, sweep["rough_m"])
+    looks = [only_found(objects[at]["slots"])] * len(seen)
+    found = search.aligned(seen, looks, proposed.poses, ROUGH, const.ROUGH_POINTS, sweep["rough_m"])
     if found is None:
         return NO_POSES
     rough, unlikely, _ = found
     worth = explains(rough) + stands_out(maps, rough.poses, controls, search.intrinsics) - unlikely
+    worth += dyed(rough, search.palette, [at] * len(worth))
     # By turns the best by all that speaks for them, and those that faces alone had before the others.
     order = np.stack((np.argsort(-worth, kind="stable"), np.arange(len(worth))), axis=1).ravel()
     best = different(rough.poses, order, const.FRESH)

@@ -14,12 +14,13 @@ from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.likelihood import explains
+from hierax.nodes.tracking.estimation.palette import dyed, is_another
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.geometry import Array, Floats, unit
 from hierax.nodes.tracking.model.controls import Indices
-from hierax.nodes.tracking.model.symmetry import LEVER_M, alike
+from hierax.nodes.tracking.model.symmetry import LEVER_M, about, alike
 from hierax.nodes.tracking.schema import TRACKED, TrackedObject
 
 ROUGH = Search(
@@ -59,6 +60,7 @@ class Found(NamedTuple):
     shown: Floats  # (m,) how many control points should be seen
     gains: Floats  # (m,) how many of them speak for the pose
     nats: Floats  # (m,) by how much the pose explains the image better than clutter does
+    colours: Floats  # (m,) nats of these that are said by what colours it has there
     motion_scale: Floats  # (m,) how much of a push the latest motion asks for
     trend: Floats  # (m, 6) see `hierax.nodes.tracking.estimation.fusion.Prior`
     elsewhere: NDArray[np.bool_]  # (m,) whether it was found elsewhere than expected
@@ -131,7 +133,9 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
     within_reach = squared(away, pushed[tries]) <= const.PUSH_SQUARED
     much_better = seen[tries] & (fine.gains > found.gains[tries] + const.MUCH * found.shown[tries])
     worth[(found.scores[tries] >= const.KEPT_SCORE) & ~within_reach & ~much_better] = -np.inf
-    return _chosen(found, tries, start, fine, worth)
+    colours = dyed(fine, looking.task.palette, tries)
+    worth[is_another(colours)] = -np.inf
+    return _chosen(found, tries, start, fine, worth, colours)
 
 
 def aligned_each(task: Task, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:
@@ -176,13 +180,14 @@ def squared(away: Floats, information: Floats) -> Floats:
     return np.asarray(np.einsum("mi,mij,mj->m", away, information, away), dtype=np.float64)
 
 
-def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, worth: Floats) -> Found:
-    after, nats = found.copied(), explains(fine)
+def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, worth: Floats, colours: Floats) -> Found:
+    after, nats = found.copied(), explains(fine) + colours
     for number, at in enumerate(tries):
         if fine.shown[number] < const.LEAST_FOUND or worth[number] <= after.gains[at] + const.BETTER * found.shown[at]:
             continue
         after.put(at, fine.poses[number], inverse(start.information[number] + fine.blocks[number, 6:, 6:]))
-        after.scores[at], after.gains[at], after.nats[at] = fine.scores[number], worth[number], nats[number]
+        after.scores[at], after.gains[at] = fine.scores[number], worth[number]
+        after.nats[at], after.colours[at] = nats[number], colours[number]
     return after
 
 
@@ -212,7 +217,22 @@ def _starts(item: TrackedObject, shift: Floats, spread: Floats) -> list[Floats]:
     around = const.AROUND[turn % len(const.AROUND)] @ np.linalg.cholesky(spread).T
     if float(np.trace(spread[:3, :3])) > const.GRID_M**2:
         around = np.concatenate((around, _across(spread)))
-    return ways + [shift @ item["pose"] @ near for near in exp_many(around)]
+    over = _tipped(item) if item["stands"] else []
+    return ways + [shift @ item["pose"] @ near for near in (*exp_many(around), *over)]
+
+
+def _tipped(item: TrackedObject) -> list[Floats]:
+    """How something that stands may begin to fall: (4, 4) turns in its frame about edges of its foot."""
+    up, points = item["support"], item["controls"]["points"]
+    if not len(points) or not up.any():
+        return []
+    low, high = points.min(axis=0), points.max(axis=0)
+    corners = (low + high) / 2 + const.BOX_CORNERS * (high - low)
+    heights = corners @ up
+    foot = corners[heights <= heights.min() + max(const.FOOT * float(np.ptp(heights)), const.FLAT_M)]
+    first = unit(np.cross(up, np.eye(3)[np.abs(up).argmin()]))
+    ways = [np.cos(turn) * first + np.sin(turn) * np.cross(up, first) for turn in const.TIPPED_WAYS]
+    return [about(np.cross(up, way), foot[(foot @ way).argmax()], angle) for way in ways for angle in const.TIPPED_RAD]
 
 
 def _across(spread: Floats) -> Floats:

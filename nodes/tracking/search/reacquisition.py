@@ -15,6 +15,7 @@ from hierax.nodes.tracking.estimation.alignment import Aligned, Start
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.likelihood import explains
+from hierax.nodes.tracking.estimation.palette import dyed, is_another
 from hierax.nodes.tracking.estimation.profiles import lines_of
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse, invert_many, joined, log_many, only, summed, tukey
@@ -81,16 +82,18 @@ def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
     fine = as_predicted(looking, candidates.owners.tolist(), fine)
     away = away_by(looking, candidates.owners.tolist(), fine.poses)
     evidence, shown = _evidence(looking, found, fine, candidates)
+    colours = dyed(fine, looking.task.palette, candidates.owners)
     unlikely = 0.5 * squared(away, information[candidates.owners])
     # Of what is seen where it cannot rest, nobody knows where it is; where much of it is in sight, the image tells.
     hangs = np.array([item["hangs"] > 0 for item in objects]) & (found.shown > const.LEAST_IN_SIGHT)
     unlikely[hangs[candidates.owners]] = 0.0
-    worth = evidence - np.minimum(unlikely, const.UNLIKELIEST * shown)
+    worth = evidence + colours - np.minimum(unlikely, const.UNLIKELIEST * shown)
+    worth[is_another(colours)] = -np.inf
     # What is farther away than that is as one of which nothing is known: `missing` decides.
     worth[candidates.settled & (unlikely > const.LEAST_NATS)] = -np.inf
-    eligible = (fine.scores >= const.FOUND_SCORE) & (shown >= const.LEAST_FOUND)
+    eligible = (fine.scores >= const.FOUND_SCORE) & (shown >= const.LEAST_FOUND) & ~is_another(colours)
     tracked = np.array([item["status"] == TRACKED for item in objects])
-    return _chosen(found, candidates, fine, worth, eligible, information, sought, tracked, hangs)
+    return _chosen(found, candidates, fine, worth, colours, eligible, information, sought, tracked, hangs)
 
 
 def _candidates(looking: Looking, found: Found, sought: Sequence[int]) -> tuple[_Candidates, Task]:
@@ -122,9 +125,8 @@ def _evidence(looking: Looking, found: Found, fine: Aligned, candidates: _Candid
     gain = (
         tukey(matches.pixels, 2.0 * const.SUPPORT_PX) * np.exp(-const.STRANGE_WEIGHT * matches.strange) - const.CHANCE
     )
-    known = (stage.memory.precision > 0).any(axis=1) & fine.supported & (matches.strange < 1.0)
     own = stage.controls.visible * ~_claimed(looking, found, fine, candidates.owners[numbers])
-    return summed(numbers, own * (gain + const.FAMILIAR * known), count), summed(numbers, own, count)
+    return summed(numbers, own * gain, count), summed(numbers, own, count)
 
 
 def _claimed(looking: Looking, found: Found, fine: Aligned, owners: Indices) -> Array:
@@ -149,6 +151,7 @@ def _chosen(
     candidates: _Candidates,
     fine: Aligned,
     worth: Floats,
+    colours: Floats,
     eligible: Array,
     information: Floats,
     sought: Sequence[int],
@@ -156,7 +159,7 @@ def _chosen(
     hangs: Array,
 ) -> Found:
     """What is found, with the best candidates of each object besides."""
-    after, nats = found.copied(), explains(fine)
+    after, nats = found.copied(), explains(fine) + colours
     for at in sought:
         own = np.nonzero(candidates.owners == at)[0]
         ranked = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])
@@ -174,7 +177,7 @@ def _chosen(
         if known and eligible[first] and not (first == kept and stays):
             after.put(at, fine.poses[first], inverse(information[at] + fine.blocks[first, 6:, 6:]))
             after.scores[at], after.gains[at] = fine.scores[first], fine.gains[first]
-            after.shown[at], after.nats[at] = fine.shown[first], nats[first]
+            after.shown[at], after.nats[at], after.colours[at] = fine.shown[first], nats[first], colours[first]
         guesses = [fine.poses[number] for number in rivals[int(after.sure[at]) :][: const.GUESSES]]
         after.guesses[at] = np.stack(guesses) if guesses else NO_POSES
     return after

@@ -23,6 +23,8 @@ class Judged(NamedTuple):
     edges: list[Floats]  # of each, (k, 4) pixels and normals of those edges that the image shows
     lines: Floats  # (k,) nats that each control point of `fine` says of its own
     beside: Floats  # (n,) nats that what lies beside the edges says
+    colours: Floats  # (n,) nats of these that are said by what colours the object is known to have
+    known: Array  # (n,) whether these say that it is this object, and no other one that is missing
 
 
 class Together(NamedTuple):

@@ -8,6 +8,7 @@ from support.boxes import INTRINSICS, SIZE
 from support.cube_arm import FIRST_CAMERA, NEXT_CAMERA, WORLD_FROM_OBJECT, after_first_epoch, imagined, node, picture
 
 from hierax.nodes.tracking import arm as tracking_arm
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
 from hierax.nodes.tracking.math.geometry import NO_POSES, exp_so3, make_pose, pose_error
@@ -99,7 +100,9 @@ def test_of_an_imprecise_model_not_the_share_that_is_found_says_whether_it_is_th
     (item,) = after_first_epoch(arm)["objects"]
     slots = {**item["slots"], "tolerance": tolerance}
     pose, covariance = WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3)
-    estimate = Estimate(*(pose, covariance, 0.1, np.zeros(6)), 0.3, 60.0, nats, 0.5, slots, *(0, False, True), NO_POSES)
+    estimate = Estimate(
+        *(pose, covariance, 0.1, np.zeros(6)), 0.3, 60.0, nats, 0.0, 0.5, slots, *(0, False, True), NO_POSES
+    )
     assert arm._judged(item, pose, estimate)["status"] == status
 
 
@@ -241,6 +244,40 @@ def test_bad_objects() -> None:
         ArmNode([{"id": 1, "obj_id": 1, "pose": pose}, {"id": 1, "obj_id": 1, "pose": pose}])
     with pytest.raises(ValueError, match="object 4: pose"):
         ArmNode([{"id": 4, "obj_id": 1, "pose": np.eye(3)}])
+
+
+@pytest.mark.parametrize(("nats", "denied"), [(-0.5, 1), (0.5, 0)])
+def test_an_image_that_clutter_explains_no_better_says_nothing_against_what_it_does_not_support(
+    nats: float, denied: int
+) -> None:
+    arm = node()
+    (item,) = after_first_epoch(arm)["objects"]
+    pose, covariance = WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3)
+    said = (0.1, 60.0, nats, 0.0, 0.5)
+    estimate = Estimate(pose, covariance, 0.1, np.zeros(6), *said, item["slots"], 0, False, True, NO_POSES)
+    judged = arm._judged(item, pose, estimate)
+    assert (judged["status"], judged["misses"], judged["denied"]) == ("expected", 1, denied)
+
+
+@pytest.mark.parametrize(("known", "status"), [(True, "tracked"), (False, "lost")])
+def test_what_is_known_by_its_colours_is_found_in_one_image(known: bool, status: str) -> None:
+    (item,) = after_first_epoch(node())["objects"]
+    lost = {**item, "status": "lost"}
+    sighting = Sighting(NO_POSES, WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3), 0.9, 20.0, False, known)
+    found = tracking_arm._sighted(lost, sighting, True)  # type: ignore[arg-type]
+    assert found["status"] == status
+    assert found["probation"] == (const.PROBATION if known else 1)
+
+
+def test_what_has_the_colours_of_something_else_is_not_seen() -> None:
+    arm = node()
+    (item,) = after_first_epoch(arm)["objects"]
+    pose, covariance = WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3)
+    for colours, status, denied in ((0.0, "tracked", 0), (-9.0, "expected", 1)):
+        said = (0.9, 60.0, 20.0 + colours, colours, 0.5)
+        estimate = Estimate(pose, covariance, 0.1, np.zeros(6), *said, item["slots"], 0, False, True, NO_POSES)
+        judged = arm._judged(item, pose, estimate)
+        assert (judged["status"], judged["denied"]) == (status, denied)
 
 
 @pytest.mark.parametrize(

@@ -44,8 +44,8 @@ def test_parts_and_edges_make_up_what_the_arm_said() -> None:
     found = of(step, before)
     assert item["status"] == "tracked"
     assert found.nats == pytest.approx(item["nats"], abs=0.05 * item["nats"])
-    assert found.nats == pytest.approx(found.found + found.missing + found.looks + found.wholes)
-    assert found.nats == pytest.approx(sum(edge.nats for edge in found.edges))
+    assert found.nats == pytest.approx(found.found + found.missing + found.looks + found.wholes + found.colours)
+    assert found.nats == pytest.approx(sum(edge.nats for edge in found.edges) + found.colours)
     assert found.prior is not None
     assert -6.0 < found.prior <= 0.0
     assert {edge.number for edge in found.edges} == set(item["controls"]["edges"].tolist())

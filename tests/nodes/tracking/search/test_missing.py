@@ -55,7 +55,7 @@ def test_guesses_that_all_came_beside_where_they_are_tell_where_the_camera_looks
     came = np.stack([turned(*off_px) @ pose for pose in true])
     # Of the last object there is another guess, where nothing is: it says nothing of the camera.
     poses = np.concatenate((came, came[2:] @ make_pose(np.eye(3), np.array([0.03, 0.04, 0.0]))))
-    owners, search = np.array([0, 1, 2, 2]), _Search(image(), INTRINSICS, LEVEL)
+    owners, search = np.array([0, 1, 2, 2]), _Search(image(), INTRINSICS, LEVEL, None)
     every = [controls(number, pose) for number, pose in zip(owners, poses, strict=True)]
     found = search.aligned(every, [NOTHING] * len(every), poses, FINE, const.POINTS_MAX)
     assert found is not None
@@ -73,7 +73,7 @@ def test_guesses_that_all_came_beside_where_they_are_tell_where_the_camera_looks
 
 def test_where_no_guess_is_sure_none_tells_where_the_camera_looks() -> None:
     poses = np.stack([invert(CAMERA) @ POSES[0] @ make_pose(np.eye(3), np.array([0.05, 0.06, 0.0]))])
-    search, every = _Search(image(), INTRINSICS, LEVEL), [controls(0, poses[0])]
+    search, every = _Search(image(), INTRINSICS, LEVEL, None), [controls(0, poses[0])]
     found = search.aligned(every, [NOTHING], poses, FINE, const.POINTS_MAX)
     assert found is not None
     assert _jump(poses, found[0], explains(found[0]), np.array([0]), INTRINSICS) is None

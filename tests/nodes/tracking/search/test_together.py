@@ -68,6 +68,8 @@ def stacked(owners: Sequence[int], poses: Sequence[Floats], side_m: float) -> Ju
         [claimed] * len(poses),
         lines,
         np.full(len(poses), 4.0),
+        np.zeros(len(poses)),
+        np.zeros(len(poses), dtype=bool),
     )
 
 
