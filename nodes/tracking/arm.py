@@ -300,7 +300,7 @@ class ArmNode(Node):
         doubtful |= estimate.score < needed and (gone or not estimate.slots["tolerance"])
         if estimate.shown < enough or doubtful:
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
-            searched = estimate.elsewhere and not item["others"] and not is_another(estimate.colours)
+            searched = estimate.elsewhere and not item["others"]
             guess = estimate.pose if searched and estimate.score > self._kept_score else expected
             return self._missed(item, guess, estimate)
         return {

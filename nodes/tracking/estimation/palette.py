@@ -24,7 +24,8 @@ class Coloured(NamedTuple):
     """Places beside the edges of poses, on the faces that are seen there."""
 
     colours: Singles  # (n, channels) grey levels
-    points: Indices  # (n,) which of the lines each is beside
+    owners: Indices  # (n,) which of the poses each is of
+    visible: Floats  # (n,) chance that it is seen
     faces: Indices  # (n,) the number of the face, one body's others than another's
 
 
@@ -55,19 +56,27 @@ def coloured(aligned: Aligned) -> Coloured:
     which = np.concatenate((rows, twice))
     colours = np.concatenate((profiles.inside[rows, columns], profiles.outside[twice, columns[twice]]))
     patches = np.concatenate((controls.faces[:, 0], controls.faces[twice, 1])) + 1
-    return Coloured(colours, which, controls.owners[which] * (int(patches.max(initial=0)) + 1) + patches)
+    owners = controls.owners[which]
+    return Coloured(colours, owners, controls.visible[which], owners * (int(patches.max(initial=0)) + 1) + patches)
 
 
 def dyed(aligned: Aligned, palette: Floats | None, owners: Sequence[int] | Indices) -> Floats:
     """(m,) nats by which poses have the colours of their objects, rather than those of anything; owners: (m,) which of
     the palette's objects each is of."""
-    controls, count = aligned.stage.controls, len(aligned.poses)
+    said: Floats = dyed_as(aligned, palette, [owners])[0]
+    return said
+
+
+def dyed_as(aligned: Aligned, palette: Floats | None, owners: Sequence[Sequence[int] | Indices]) -> Floats:
+    """(k, m) the same as if the poses were of some objects, and of others: k times (m,) whose they are."""
+    count = len(aligned.poses)
     if palette is None:
-        return np.zeros(count)
+        return np.zeros((len(owners), count))
     seen = coloured(aligned)
-    which = controls.owners[seen.points]
-    nats = palette[np.asarray(owners)[which], _numbers(seen.colours)]
-    return const.PAINT_ALIKE * summed(which, controls.visible[seen.points] * nats, count)
+    numbers = _numbers(seen.colours)
+    every = (palette[np.asarray(each)[seen.owners], numbers] for each in owners)
+    said: Floats = np.stack([summed(seen.owners, seen.visible * nats, count) for nats in every])
+    return const.PAINT_ALIKE * said
 
 
 def is_another(colours: Floats | float) -> NDArray[np.bool_]:
@@ -77,7 +86,7 @@ def is_another(colours: Floats | float) -> NDArray[np.bool_]:
 
 def painted(aligned: Aligned) -> Floats:
     """(m,) nats by which, at each pose, what lies beside the edges of one face looks alike, rather than as anything."""
-    controls, seen = aligned.stage.controls, coloured(aligned)
+    seen = coloured(aligned)
     colours, count = seen.colours, len(aligned.poses)
     faces = np.unique(seen.faces, return_inverse=True)[1]
     varied = max(const.LEAST_VARIED, float(aligned.stage.profiles.outside.std(axis=(0, 1)).mean()))
@@ -88,15 +97,13 @@ def painted(aligned: Aligned) -> Floats:
         ratio = varied / const.PAINT * np.exp(0.5 * np.minimum(off / varied**2, 9.0) - 0.5 * off / const.PAINT**2)
         own_nats = np.log(const.PAINTED * ratio + 1.0 - const.PAINTED)
         nats[own] = own_nats * max(0.0, 1.0 - 4.0 / len(own))  # the face's own colour is not known before
-    which = controls.owners[seen.points]
-    return const.PAINT_ALIKE * summed(which, controls.visible[seen.points] * nats, count)
+    return const.PAINT_ALIKE * summed(seen.owners, seen.visible * nats, count)
 
 
-def with_colours(looks: Looks, aligned: Aligned, at: int, nats: float) -> Looks:
-    """What is remembered of one object after an image; at: which of the aligned objects it is; nats: by how much its
+def with_colours(looks: Looks, seen: Coloured, at: int, nats: float) -> Looks:
+    """What is remembered of one object after an image; seen: of all of them; at: which one it is; nats: by how much its
     edges explain the image better than clutter does: it counts by how sure it is to be there."""
-    seen, controls = coloured(aligned), aligned.stage.controls
-    own = (controls.owners[seen.points] == at) & (controls.visible[seen.points] > const.SURE_SEEN)
+    own = (seen.owners == at) & (seen.visible > const.SURE_SEEN)
     if seen.colours.shape[1] != 3 or nats <= 0.0 or np.count_nonzero(own) < const.LEAST_SHOWN:
         return looks
     share, count = np.tanh(0.5 * nats), looks["dyed"]

@@ -25,7 +25,7 @@ from hierax.nodes.tracking.estimation.joint_alignment import (
     task_of,
 )
 from hierax.nodes.tracking.estimation.likelihood import explains
-from hierax.nodes.tracking.estimation.palette import dyed, with_colours
+from hierax.nodes.tracking.estimation.palette import coloured, dyed, with_colours
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
@@ -234,7 +234,7 @@ def _learned(
     seen = controls.visible > const.SURE_SEEN
     sure = aligned.supported & seen
     offsets = offsets_at(aligned, poses)
-    places = controls.slots[:, 0]
+    places, seen_colours = controls.slots[:, 0], coloured(aligned)
     learned = []
     for at, item in enumerate(objects):
         known = judged.get(at, {**item["slots"], "judged": max(0, item["slots"]["judged"] - 1)})
@@ -253,7 +253,7 @@ def _learned(
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
         known = remembered(known, controls, chosen, colours)
         if at in kept and not item["probation"] and found.colours[at] >= 0.0:
-            known = with_colours(known, aligned, at, found.nats[at] - found.colours[at])
+            known = with_colours(known, seen_colours, at, found.nats[at] - found.colours[at])
         still = _is_still(item, found.motion_scale[at])
         exact = still and not known["tolerance"]
         known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if exact else known

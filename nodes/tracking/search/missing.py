@@ -17,7 +17,7 @@ from hierax.nodes.tracking.estimation.appearance import only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.joint_alignment import flat
 from hierax.nodes.tracking.estimation.likelihood import explains, shares
-from hierax.nodes.tracking.estimation.palette import dyed, is_another, painted, palette_of
+from hierax.nodes.tracking.estimation.palette import dyed, dyed_as, is_another, painted, palette_of
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
@@ -150,10 +150,9 @@ def _judged(
     fine, unlikely, covariance = found
     told = shares(fine)
     beside = painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics)
-    others = np.stack([dyed(fine, search.palette, [at] * len(rows)) for at in missing])
-    colours = dyed(fine, search.palette, whose)
-    is_like = others > const.CLEAR_NATS  # of each of them whether it has these colours
-    known = (colours > const.CLEAR_NATS) & (is_like.sum(axis=0) == 1)
+    colours, *others = dyed_as(fine, search.palette, [whose, *([at] * len(rows) for at in missing)])
+    bearers = sum(each > const.CLEAR_NATS for each in others)  # of how many of them each has the colours
+    known = (colours > const.CLEAR_NATS) & (bearers == 1)
     beside += colours
     boxes = np.stack([_box(each) for each in controls])
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)

@@ -10,7 +10,7 @@ from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import NOTHING, only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
-from hierax.nodes.tracking.estimation.palette import _numbers, dyed, is_another, palette_of, with_colours
+from hierax.nodes.tracking.estimation.palette import _numbers, coloured, dyed, is_another, palette_of, with_colours
 from hierax.nodes.tracking.estimation.profiles import Image, grey_levels, smoothed
 from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.math.geometry import Array, invert, looking_down, make_pose
@@ -52,7 +52,7 @@ def known() -> list[Looks]:
     """What twenty images tell of each cube's looks."""
     shown, looks = aligned(smoothed(picture(RED, GREEN, BLUE))), [NOTHING] * 3
     for _ in range(20):
-        looks = [with_colours(each, shown, at, 20.0) for at, each in enumerate(looks)]
+        looks = [with_colours(each, coloured(shown), at, 20.0) for at, each in enumerate(looks)]
     return looks
 
 
@@ -82,13 +82,13 @@ def test_a_gray_image_tells_nothing_and_teaches_nothing(known: list[Looks]) -> N
     shown = aligned(image)
     assert palette_of(image, known) is None
     assert not dyed(shown, None, [0, 1, 2]).any()
-    assert with_colours(known[0], shown, 0, 20.0) is known[0]
+    assert with_colours(known[0], coloured(shown), 0, 20.0) is known[0]
 
 
 def test_what_is_hardly_sure_teaches_little_and_what_clutter_explains_nothing() -> None:
     shown = aligned(smoothed(picture(RED, GREEN, BLUE)))
-    assert with_colours(NOTHING, shown, 0, 0.0) is NOTHING
-    sure, hardly = (with_colours(NOTHING, shown, 0, nats)["dyed"] for nats in (20.0, 0.2))
+    assert with_colours(NOTHING, coloured(shown), 0, 0.0) is NOTHING
+    sure, hardly = (with_colours(NOTHING, coloured(shown), 0, nats)["dyed"] for nats in (20.0, 0.2))
     assert sure == pytest.approx(1.0)
     assert hardly == pytest.approx(0.1, abs=0.01)
 
@@ -96,7 +96,7 @@ def test_what_is_hardly_sure_teaches_little_and_what_clutter_explains_nothing() 
 def test_what_was_seen_beside_a_cube_now_and_then_is_not_its_colour(known: list[Looks]) -> None:
     green = aligned(smoothed(picture(GREEN, GREEN, BLUE)))
     muddled, image = known[0], smoothed(picture(GREEN, GREEN, BLUE))
-    muddled = with_colours({**muddled, "dyed": 40.0}, green, 0, 20.0)
+    muddled = with_colours({**muddled, "dyed": 40.0}, coloured(green), 0, 20.0)
     assert is_another(dyed(green, palette_of(image, [muddled, known[1], known[2]]), [0, 1, 2])[0])
 
 
@@ -108,7 +108,7 @@ def test_colours_are_kept_where_it_may_be_another_side_that_is_seen(known: list[
 
 def test_in_an_image_of_one_colour_nothing_is_told() -> None:
     plain = smoothed(np.full((*SIZE[::-1], 3), RED, dtype=np.uint8))
-    taught = with_colours(NOTHING, aligned(smoothed(picture(RED, GREEN, BLUE))), 0, 20.0)
+    taught = with_colours(NOTHING, coloured(aligned(smoothed(picture(RED, GREEN, BLUE)))), 0, 20.0)
     one = np.zeros(const.DYES**2, dtype=np.float32)
     one[_numbers(grey_levels(plain[:1, :1]).reshape(1, 3))] = 1.0
     palette = palette_of(plain, [{**taught, "dye": one}])
