@@ -213,6 +213,8 @@ class SpatialNode(Node):
         """A body with the poses at which it is to be looked for besides."""
         if belief["camera"] is not None and _is_to_be_set_down(body):
             return self._set_down(body, belief, belief["camera"][:3, 3])
+        if not body["sought"] or not body["known"]:
+            return {**body, "others": NO_POSES, "kept": 0}
         moved = [self._coasted(Motion(guess, body["velocity"]), interval_s).pose for guess in body["guesses"]]
         return _with_others(body, self._turned_least(body, np.array(moved).reshape(-1, 4, 4)))
 
@@ -236,7 +238,7 @@ class SpatialNode(Node):
         """(n, 4, 4) poses at which a body that was seen before looks as at each guess (n, 4, 4), those to which it has
         turned least from where it was imagined last, falling over the way it went: outlines do not tell its sides,
         whatever is said of its symmetry."""
-        if not self._table or not body["known"] or not body["sought"] or not len(guesses):
+        if not self._table or not body["known"] or not len(guesses):
             return guesses
         number, model = body["id"], body["model"]
         if number not in self._likenesses:
@@ -332,10 +334,8 @@ def _sigmas_squared(step: Floats, pose: Floats, covariance: Floats) -> float:
 
 
 def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
-    """A body as it is imagined for the next image, with poses to look for it at besides, where the arm asks for them;
-    guesses: (n, 4, 4) where it may be by then by what the arm saw."""
-    if not body["sought"] or not body["known"]:
-        return {**body, "others": NO_POSES, "kept": 0}
+    """A body as it is imagined for the next image, with poses to look for it at besides; guesses: (n, 4, 4) where it
+    may be by then by what the arm saw."""
     covariance = body["covariance"] if body["status"] != schema.TRACKED else body["covariance"] + const.BODY_ASTRAY
     imagined = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
     others = np.concatenate((guesses, imagined[len(guesses) :]))
