@@ -9,9 +9,10 @@ import numpy as np
 
 from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.imagery.edges import controls_of
-from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of
+from hierax.nodes.tracking.schema import ControlPoints
 from support.boxes import INTRINSICS, SIZE, Box
 
 START = np.diag([0.005**2] * 3 + [0.035**2] * 3)
@@ -24,10 +25,15 @@ def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
     """An object as the arm's belief has it before an image."""
     mesh = box_mesh(box.size)
     controls = controls_of(shape_of(mesh.vertices, mesh.faces), predicted, INTRINSICS, SIZE)
+    return believed(box.label, predicted, controls.sent(controls.visible.astype(np.float32)))
+
+
+def believed(number: int, pose: Floats, controls: ControlPoints) -> dict[str, Any]:
+    """The same of any object, with what would be seen of it at a pose."""
     return {
-        "id": box.label,
-        "pose": predicted,
-        "before": predicted,
+        "id": number,
+        "pose": pose,
+        "before": pose,
         "covariance": START,
         "motion_scale": 0.2,
         "trend": np.zeros(6),
@@ -40,7 +46,7 @@ def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
         "status": "tracked",
         "failed_searches": 0,
         "slots": NOTHING,
-        "controls": controls.sent(controls.visible.astype(np.float32)),
+        "controls": controls,
     }
 
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from support.coloured import BLUE, CAMERA, GREEN, INTRINSICS, POSES, RED, item, taught
+from support.coloured import picture as cubes_in
 from support.cube_arm import FIRST_CAMERA, WORLD_FROM_OBJECT, after_first_epoch, imagined, node, picture
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.evidence import Evidence, evidence
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 from hierax.runtime import Step
@@ -78,6 +82,19 @@ def test_other_poses_are_told_with_what_they_are_worth() -> None:
     assert [other.nats for other in found.others] == sorted((other.nats for other in found.others), reverse=True)
     predicted = next(other for other in found.others if other.name == "as predicted")
     assert predicted.away_mm < 10.0
+
+
+def test_colours_are_a_part_of_what_is_said_where_they_are_its_own_and_where_another_is_seen() -> None:
+    looks = taught(RED, GREEN, BLUE)
+    objects = tuple(item(number, POSES[number], looks[which]) for number, which in enumerate((0, 1, 0)))
+    belief: Any = {"intrinsics": INTRINSICS, "camera": CAMERA, "objects": objects}
+    own, _, mistaken = evidence(cubes_in(RED, GREEN, BLUE), belief, None, belief, MOTION)
+    assert own.colours > const.CLEAR_NATS
+    assert mistaken.colours < -const.CLEAR_NATS
+    for found in (own, mistaken):
+        assert found.nats == pytest.approx(found.found + found.missing + found.looks + found.wholes + found.colours)
+    grey = cv2.cvtColor(cubes_in(RED, GREEN, BLUE), cv2.COLOR_RGB2GRAY)
+    assert [found.colours for found in evidence(grey, belief, None, belief, MOTION)] == [0.0, 0.0, 0.0]
 
 
 def test_it_is_shown_in_words_as_curves_and_over_the_picture() -> None:

@@ -5,55 +5,18 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from support.coloured import BLUE, GREEN, RED, SIZE, aligned, picture, taught
 
 from hierax.nodes.tracking import constants as const
-from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import NOTHING, only_found
-from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.palette import _numbers, coloured, dyed, is_another, palette_of, with_colours
-from hierax.nodes.tracking.estimation.profiles import Image, grey_levels, smoothed
-from hierax.nodes.tracking.imagery.edges import controls_of
-from hierax.nodes.tracking.math.geometry import Array, invert, looking_down, make_pose
-from hierax.nodes.tracking.model.controls import gathered
-from hierax.nodes.tracking.model.mesh import box_mesh
-from hierax.nodes.tracking.model.shapes import shape_of
+from hierax.nodes.tracking.estimation.profiles import grey_levels, smoothed
 from hierax.nodes.tracking.schema import Looks
-from hierax.nodes.tracking.search.multistart import FINE
-from hierax.nodes.tracking.simworld.scene import develop, draw
-from hierax.nodes.tracking.simworld.shapes import Thing, cube
-
-SIZE, SIDE_M = (640, 480), 0.045
-INTRINSICS = np.array([800.0, 800.0, 319.5, 239.5])
-CAMERA = looking_down(0.4, 0.75, 0.5, np.zeros(3))
-POSES = [make_pose(np.eye(3), np.array([x, y, SIDE_M / 2])) for x, y in ((0.0, -0.08), (0.08, 0.0), (-0.05, 0.05))]
-RED, GREEN, BLUE = (200, 60, 50), (60, 160, 80), (70, 80, 190)
-
-
-def picture(*colours: tuple[int, int, int], light: float = 1.0) -> Array:
-    """Three cubes on the table, uint8 RGB."""
-    things = [Thing(pose, cube(SIDE_M), colour) for pose, colour in zip(POSES, colours, strict=True)]
-    seen = develop(draw(things, CAMERA, INTRINSICS, SIZE), 0.7, 2.0, np.random.default_rng(0))
-    return np.asarray(np.rint(light * seen), dtype=np.uint8)
-
-
-def aligned(image: Image) -> Aligned:
-    """The cubes where they are."""
-    mesh, seen = box_mesh([SIDE_M] * 3), [invert(CAMERA) @ pose for pose in POSES]
-    every = [controls_of(shape_of(mesh.vertices, mesh.faces), pose, INTRINSICS, SIZE, None) for pose in seen]
-    controls = gathered([each.sent(each.visible.astype(np.float32)) for each in every])
-    memory = memory_of([NOTHING] * 3, controls, image.shape[2])
-    found = align(image, controls, Start(np.stack(seen), np.tile(1e8 * np.eye(6), (3, 1, 1))), INTRINSICS, memory, FINE)
-    assert found is not None
-    return found
 
 
 @pytest.fixture(scope="module")
 def known() -> list[Looks]:
-    """What twenty images tell of each cube's looks."""
-    shown, looks = aligned(smoothed(picture(RED, GREEN, BLUE))), [NOTHING] * 3
-    for _ in range(20):
-        looks = [with_colours(each, coloured(shown), at, 20.0) for at, each in enumerate(looks)]
-    return looks
+    return taught(RED, GREEN, BLUE)
 
 
 @pytest.mark.parametrize("light", [1.0, 0.6])
@@ -108,9 +71,9 @@ def test_colours_are_kept_where_it_may_be_another_side_that_is_seen(known: list[
 
 def test_in_an_image_of_one_colour_nothing_is_told() -> None:
     plain = smoothed(np.full((*SIZE[::-1], 3), RED, dtype=np.uint8))
-    taught = with_colours(NOTHING, coloured(aligned(smoothed(picture(RED, GREEN, BLUE)))), 0, 20.0)
+    red = taught(RED, GREEN, BLUE, images=1)[0]
     one = np.zeros(const.DYES**2, dtype=np.float32)
     one[_numbers(grey_levels(plain[:1, :1]).reshape(1, 3))] = 1.0
-    palette = palette_of(plain, [{**taught, "dye": one}])
+    palette = palette_of(plain, [{**red, "dye": one}])
     assert palette is not None
     assert np.abs(palette[0, one > 0]).max() < 0.02
