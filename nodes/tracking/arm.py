@@ -277,7 +277,7 @@ class ArmNode(Node):
             if _is_missing(item) or (item["status"] == schema.EXPECTED and (item["id"] in swept or guessed[item["id"]]))
         }
         carried = any(_is_missing(item) for item in objects)  # by what is not found yet, maybe
-        objects = tuple({**unseen(item), "probation": 0} if _is_refuted(item, carried) else item for item in objects)
+        objects = tuple(_missing(item) if _is_refuted(item, carried) else item for item in objects)
         if not missing:
             return objects
         found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), level)
@@ -313,6 +313,7 @@ class ArmNode(Node):
             "nats": estimate.nats,
             "probability": estimate.probability,
             "probation": const.PROBATION if gone else max(0, item["probation"] - 1),
+            "lead": 0.0,
             "slots": estimate.slots,
             "failed_searches": _failed_searches(item, estimate),
             "guesses": estimate.guesses,
@@ -362,17 +363,17 @@ def _speaks_against(estimate: Estimate) -> bool:
 
 def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> schema.TrackedObject:
     """An object after it was looked for; one that was found just now gives way to what explains its place better. It is
-    not found before so many images in a row have said so of one pose, unless its colours say so."""
+    not found before as many nats say so as so many images in a row that are clear, unless its colours say so."""
     if sighting.pose is None or sighting.covariance is None:
         if item["status"] == schema.EXPECTED:
             return {**item, "guesses": np.concatenate((sighting.guesses, item["guesses"]))}
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
-        return {**unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
-    said = 1 + item["probation"] * (sighting.again and item["status"] == schema.LOST)
-    if said < const.CONFIRMED and not sighting.known:
+        return {**_missing(item), "guesses": sighting.guesses, "failed_searches": before + swept}
+    lead = min(sighting.lead, const.CLEAR_NATS) + item["lead"] * sighting.again
+    if lead < const.CONFIRMED * const.CLEAR_NATS and not sighting.known:
         guesses = np.concatenate((sighting.pose[None], sighting.guesses))
         looked = max(item["failed_searches"], const.SWEEPS_FIRST)
-        return {**unseen(item), "guesses": guesses, "probation": said, "failed_searches": looked}
+        return {**_missing(item), "guesses": guesses, "lead": lead, "failed_searches": looked}
     return {
         **item,
         "slots": only_found(item["slots"]),
@@ -388,9 +389,15 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         "misses": 0,
         "denied": 0,
         "probation": const.PROBATION,
+        "lead": 0.0,
         "failed_searches": 0,
         "guesses": sighting.guesses,
     }
+
+
+def _missing(item: schema.TrackedObject) -> schema.TrackedObject:
+    """The same, of which nobody knows where it is."""
+    return {**unseen(item), "probation": 0, "lead": 0.0}
 
 
 def _is_anything_expected(objects: _Objects) -> bool:

@@ -214,8 +214,8 @@ class TrackedObject(PaperObject, MayLookAlike):
     nats: float  # by how much it explains the image better than clutter does
     probability: float  # that it is within 5 mm and 5° of the truth; 0 where no image says so
     denied: int  # how many of its misses speak against it
-    # for how many more images it may turn out to be elsewhere; of one that is missing, how many said where it is
-    probation: int
+    probation: int  # for how many more images it may turn out to be elsewhere
+    lead: float  # of one that is missing: nats by which images in a row had it at the first of its guesses
     # running mean of how far images had it from its predictions
     trend: Annotated[Floats, Is((6,), "float64", "standard deviations")]
     failed_searches: int  # for how many images in a row it was looked for elsewhere and not found

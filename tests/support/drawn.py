@@ -38,6 +38,7 @@ def believed(number: int, pose: Floats, controls: ControlPoints) -> dict[str, An
         "motion_scale": 0.2,
         "trend": np.zeros(6),
         "probation": 0,
+        "lead": 0.0,
         "others": (),
         "support": np.zeros(3),
         "stands": False,

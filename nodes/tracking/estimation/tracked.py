@@ -36,6 +36,7 @@ def first_belief(item: schema.FirstPose, covariance: Floats) -> schema.TrackedOb
         "nats": 0.0,
         "probability": 0.0,
         "probation": 0,
+        "lead": 0.0,
         "status": schema.EXPECTED if item["pose"] is not None else schema.LOST,
         "misses": 0,
         "denied": 0,

@@ -47,8 +47,9 @@ class Sighting(NamedTuple):
     covariance: Floats | None = None  # (6, 6)
     score: float = 0.0
     nats: float = 0.0  # by how much it explains the image better than clutter does
+    lead: float = 0.0  # nats by which the image is explained better with it there than by any other choice
     again: bool = False  # whether the image before said the same
-    known: bool = False  # whether it is known by its colours
+    known: bool = False  # whether it is clear by its colours that it is this one
 
 
 def look_for_missing(
@@ -152,7 +153,7 @@ def _judged(
     beside = painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics)
     colours, *others = dyed_as(fine, search.palette, [whose, *([at] * len(rows) for at in missing)])
     bearers = sum(each > const.CLEAR_NATS for each in others)  # of how many of them each has the colours
-    known = (colours > const.CLEAR_NATS) & (bearers == 1)
+    known = (colours > const.CLEAR_NATS) & (bearers == 1) & (fine.scores >= const.SURE_SCORE)
     beside += colours
     boxes = np.stack([_box(each) for each in controls])
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
@@ -160,7 +161,10 @@ def _judged(
     edges = [lines[(owners == row) & fine.supported] for row in range(len(rows))]
     worth = nats + beside - unlikely
     worth[is_another(colours)] = -np.inf
-    return Judged(whose, fine, nats, worth, covariance, boxes, edges, told.peaks + told.looks, beside, colours, known)
+    seen = np.array([objects[at]["slots"]["tolerance"] is not None for at in whose])
+    fits = fine.scores >= np.where(seen, const.FOUND_SCORE, const.LEARNED_SCORE)
+    said = told.peaks + told.looks
+    return Judged(whose, fine, nats, worth, covariance, boxes, edges, said, beside, colours, known, fits)
 
 
 def _jump(poses: Floats, fine: Aligned, nats: Floats, owners: Array, intrinsics: Array) -> Floats | None:
@@ -215,15 +219,18 @@ def _decided(
             and judged.nats[row] + judged.colours[row] + gained > const.LEAST_EDGES
             and fine.shown[row] > const.LEAST_IN_SIGHT
         )
+        lead = 0.0
         if row is not None and sure:
-            sure = best - together.best(look_alike(judged, row, together.options[at]))[0] > const.CLEAR_NATS
+            lead = best - together.best(look_alike(judged, row, together.options[at]))[0]
+            sure = lead > const.CLEAR_NATS / const.CONFIRMED
         kept = [other for other in ranked[at] if other != row or not sure][: const.OLD]
         guesses = fine.poses[kept] if kept else NO_POSES
         found[at] = Sighting(guesses)
         if row is not None and sure:
-            nats = float(judged.nats[row] + judged.colours[row])
-            said = float(fine.scores[row]), nats, _is_again(fine.poses[row], objects[at]), bool(judged.known[row])
-            found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], *said)
+            said = float(fine.scores[row]), float(judged.nats[row] + judged.colours[row]), lead
+            known = bool(judged.known[row]) and lead > const.CLEAR_NATS
+            again = _is_again(fine.poses[row], objects[at])
+            found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], *said, again, known)
     return found
 
 
@@ -236,10 +243,10 @@ def _together(
 ) -> Together:
     """What is chosen of: for each of the missing objects that images say most of its best rows, if others that hide
     parts of it could make them likely; and those that were found just now."""
-    fine, worth = judged.fine, judged.worth
+    worth = judged.worth
     first = sorted(ranked, key=lambda at: -max(worth[ranked[at]], default=-np.inf))[: const.RIVALS]
     options = {at: np.nonzero(judged.owners == at)[0].tolist() for at in recent}
-    options |= {at: [row for row in ranked[at] if fine.scores[row] >= const.LEARNED_SCORE] for at in first}
+    options |= {at: [row for row in ranked[at] if judged.fits[row]] for at in first}
     hidden = hidden_of(judged, [row for own in options.values() for row in own])
 
     def most(row: int) -> float:
@@ -259,7 +266,7 @@ def _times_swept(item: TrackedObject) -> int:
 
 def _is_again(pose: Floats, item: TrackedObject) -> bool:
     """Whether the image before had a missing object there, too: at the first of its guesses."""
-    if not item["probation"] or not item["others"]:
+    if not item["lead"] or not item["others"]:
         return False
     before = item["others"][0]["pose"]
     return is_near(before, alike(item["symmetry"], pose[None], before)[0] if "symmetry" in item else pose)
@@ -294,7 +301,9 @@ def _fresh(search: _Search, maps: Maps, objects: Sequence[TrackedObject], at: in
     rough, unlikely, _ = found
     worth = explains(rough) + stands_out(maps, rough.poses, controls, search.intrinsics) - unlikely
     worth += dyed(rough, search.palette, [at] * len(worth))
-    # By turns the best by all that speaks for them, and those that faces alone had before the others.
-    order = np.stack((np.argsort(-worth, kind="stable"), np.arange(len(worth))), axis=1).ravel()
-    best = different(rough.poses, order, const.FRESH)
-    return np.asarray(rough.poses[best])
+    # By turns the best by all that speaks for them, and those that faces alone had before the others: these as they
+    # were, as edges of what is dark, and beside its shadow, lead astray.
+    count = len(worth)
+    order = np.stack((np.argsort(-worth, kind="stable"), count + np.arange(count)), axis=1).ravel()
+    every = np.concatenate((rough.poses, proposed.poses))
+    return np.asarray(every[different(every, order, const.FRESH)])

@@ -25,6 +25,7 @@ class Judged(NamedTuple):
     beside: Floats  # (n,) nats that what lies beside the edges says
     colours: Floats  # (n,) nats of these that are said by what colours the object is known to have
     known: Array  # (n,) whether these say that it is this object, and no other one that is missing
+    fits: Array  # (n,) whether enough of its edges is found: of what was seen before, more
 
 
 class Together(NamedTuple):

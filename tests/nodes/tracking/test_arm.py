@@ -109,27 +109,32 @@ def test_of_an_imprecise_model_not_the_share_that_is_found_says_whether_it_is_th
 @pytest.mark.parametrize("found", [True, False])
 def test_what_is_looked_for_everywhere_is_as_probable_as_it_explains_the_image(found: bool) -> None:
     (item,) = node().initial_belief()["objects"]
-    stale = {**item, "nats": 30.0, "probability": 0.99, "status": "lost", "probation": 2}
+    stale = {**item, "nats": 30.0, "probability": 0.99, "status": "lost", "lead": 13.0}
     pose, covariance = (WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3)) if found else (None, None)
-    seen = tracking_arm._sighted(stale, Sighting(NO_POSES, pose, covariance, 0.9, 20.0 if found else 0.0, True), False)
+    said = (0.9, 20.0, 9.0, True) if found else (0.0, 0.0, 0.0, False)
+    seen = tracking_arm._sighted(stale, Sighting(NO_POSES, pose, covariance, *said), False)
     assert seen["nats"] == (20.0 if found else 0.0)
     assert (seen["probability"] > 0.9) == found
 
 
-@pytest.mark.parametrize("again", [True, False])
-def test_a_missing_object_is_tracked_when_three_images_in_a_row_have_it_in_one_place(again: bool) -> None:
+@pytest.mark.parametrize(
+    ("lead", "again", "images"), [(6.1, True, 3), (40.0, True, 3), (4.0, True, 5), (2.1, True, 9), (40.0, False, None)]
+)
+def test_a_missing_object_is_tracked_when_images_in_a_row_have_it_in_one_place_the_more_the_less_clear_they_are(
+    lead: float, again: bool, images: int | None
+) -> None:
     (item,) = node().initial_belief()["objects"]
     item = {**item, "status": "lost"}
-    sighting = Sighting(NO_POSES, WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3), 0.9, 20.0, again)
+    sighting = Sighting(NO_POSES, WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3), 0.9, 20.0, lead, again)
     statuses = []
-    for _ in range(3):
+    for _ in range(9 if images is None else images):
         item = tracking_arm._sighted(item, sighting, False)
         statuses.append(item["status"])
         assert item["probability"] == 0.0 or item["status"] == "tracked"
         assert item["status"] == "tracked" or np.array_equal(item["guesses"], WORLD_FROM_OBJECT[None])
-    assert statuses == ["lost", "lost", "tracked" if again else "lost"]
-    empty = Sighting(NO_POSES)
-    assert tracking_arm._sighted({**item, "status": "lost"}, empty, False)["probation"] == 0
+    assert statuses == (["lost"] * 9 if images is None else ["lost"] * (images - 1) + ["tracked"])
+    missing = tracking_arm._sighted({**item, "status": "lost"}, Sighting(NO_POSES), False)
+    assert (missing["probation"], missing["lead"]) == (0, 0.0)
 
 
 def test_what_is_expected_is_missing_as_soon_as_one_image_has_it_elsewhere() -> None:
@@ -139,7 +144,7 @@ def test_what_is_expected_is_missing_as_soon_as_one_image_has_it_elsewhere() -> 
     assert suspected["status"] == "expected"
     np.testing.assert_array_equal(suspected["guesses"], [WORLD_FROM_OBJECT, FIRST_CAMERA])
     covariance = np.diag([1e-6] * 3 + [1e-4] * 3)
-    found = Sighting(NO_POSES, WORLD_FROM_OBJECT, covariance, 0.9, 20.0, True)
+    found = Sighting(NO_POSES, WORLD_FROM_OBJECT, covariance, 0.9, 20.0, 9.0, True)
     statuses = []
     for _ in range(3):
         item = tracking_arm._sighted(item, found, False)
@@ -263,10 +268,10 @@ def test_an_image_that_clutter_explains_no_better_says_nothing_against_what_it_d
 def test_what_is_known_by_its_colours_is_found_in_one_image(known: bool, status: str) -> None:
     (item,) = after_first_epoch(node())["objects"]
     lost = {**item, "status": "lost"}
-    sighting = Sighting(NO_POSES, WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3), 0.9, 20.0, False, known)
+    sighting = Sighting(NO_POSES, WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3), 0.9, 20.0, 9.0, False, known)
     found = tracking_arm._sighted(lost, sighting, True)  # type: ignore[arg-type]
     assert found["status"] == status
-    assert found["probation"] == (const.PROBATION if known else 1)
+    assert (found["probation"], found["lead"]) == ((const.PROBATION, 0.0) if known else (0, const.CLEAR_NATS))
 
 
 def test_what_has_the_colours_of_something_else_is_not_seen() -> None:

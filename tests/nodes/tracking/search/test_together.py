@@ -70,6 +70,7 @@ def stacked(owners: Sequence[int], poses: Sequence[Floats], side_m: float) -> Ju
         np.full(len(poses), 4.0),
         np.zeros(len(poses)),
         np.zeros(len(poses), dtype=bool),
+        np.ones(len(poses), dtype=bool),
     )
 
 
