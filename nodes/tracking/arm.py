@@ -346,6 +346,7 @@ class ArmNode(Node):
             "score": score,
             "nats": 0.0 if estimate is None else estimate.nats,
             "probability": 0.0,
+            "lead": 0.0,
             "status": schema.LOST if lost else schema.EXPECTED,
             "misses": item["misses"] + (not hidden),
             "denied": denied,
@@ -369,6 +370,8 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
             return {**item, "guesses": np.concatenate((sighting.guesses, item["guesses"]))}
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
         return {**_missing(item), "guesses": sighting.guesses, "failed_searches": before + swept}
+    if item["status"] == schema.EXPECTED and sighting.lead <= const.CLEAR_NATS:  # where it is expected may be right
+        return {**item, "guesses": np.concatenate((sighting.pose[None], sighting.guesses, item["guesses"]))}
     lead = min(sighting.lead, const.CLEAR_NATS) + item["lead"] * sighting.again
     if lead < const.CONFIRMED * const.CLEAR_NATS and not sighting.known:
         guesses = np.concatenate((sighting.pose[None], sighting.guesses))
@@ -397,7 +400,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
 
 def _missing(item: schema.TrackedObject) -> schema.TrackedObject:
     """The same, of which nobody knows where it is."""
-    return {**unseen(item), "probation": 0, "lead": 0.0}
+    return {**unseen(item), "probation": 0}
 
 
 def _is_anything_expected(objects: _Objects) -> bool:
@@ -451,7 +454,7 @@ def _shapeless(item: schema.TrackedObject) -> schema.TrackedObject:
 
 def unseen(item: schema.TrackedObject) -> schema.TrackedObject:
     """The same where no image says anything of it, and nobody knows where it is."""
-    return {**item, "score": 0.0, "nats": 0.0, "probability": 0.0, "status": schema.LOST}
+    return {**item, "score": 0.0, "nats": 0.0, "probability": 0.0, "lead": 0.0, "status": schema.LOST}
 
 
 def _sought(item: schema.TrackedObject) -> schema.TrackedObject:

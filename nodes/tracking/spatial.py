@@ -338,7 +338,7 @@ def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
     may be by then by what the arm saw."""
     covariance = body["covariance"] if body["status"] != schema.TRACKED else body["covariance"] + const.BODY_ASTRAY
     imagined = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
-    others = np.concatenate((guesses, imagined[len(guesses) :]))
+    others = np.concatenate((guesses, imagined[min(len(guesses), const.AT_ONCE - const.GUESSES) :]))
     return {**body, "others": others, "kept": len(guesses), "turn": body["turn"] + 1}
 
 

@@ -1,9 +1,9 @@
 """Objects of which nobody knows where they are: first poses, and those that were lost.
 
-In each image one of them is looked for everywhere (`sweep`); the poses that the image speaks for most are aligned, and
-go up as guesses. They come down for the next image with the control points that would be seen there, and are judged in
-nats. Of all missing objects those poses are chosen together that explain the image best without two being in one place;
-one is believed when any other choice for its object explains the image clearly less well.
+In each image one of them is looked for everywhere (`sweep`); the poses that the image speaks for most go up as guesses,
+aligned or as they were. They come down for the next image with the control points that would be seen there, and are
+judged in nats. Of all missing objects those poses are chosen together that explain the image best without two being in
+one place; one is believed when any other choice for its object explains the image clearly less well.
 """
 
 from collections.abc import Mapping, Sequence
@@ -88,7 +88,7 @@ def look_for_missing(
             continue
         at = places[sweep["id"]]
         known = found.get(at, Sighting(NO_POSES))
-        if known.pose is not None:
+        if known.lead > const.CLEAR_NATS:
             continue
         fresh = _fresh(search, maps, objects, at, sweep)
         found[at] = known._replace(guesses=np.concatenate((known.guesses, fresh)))
@@ -219,16 +219,16 @@ def _decided(
             and judged.nats[row] + judged.colours[row] + gained > const.LEAST_EDGES
             and fine.shown[row] > const.LEAST_IN_SIGHT
         )
-        lead = 0.0
+        lead, known = 0.0, False
         if row is not None and sure:
             lead = best - together.best(look_alike(judged, row, together.options[at]))[0]
-            sure = lead > const.CLEAR_NATS / const.CONFIRMED
+            known = bool(judged.known[row]) and lead > const.CLEAR_NATS
+            sure = known or (ready and lead > const.CLEAR_NATS / const.CONFIRMED)
         kept = [other for other in ranked[at] if other != row or not sure][: const.OLD]
         guesses = fine.poses[kept] if kept else NO_POSES
         found[at] = Sighting(guesses)
         if row is not None and sure:
             said = float(fine.scores[row]), float(judged.nats[row] + judged.colours[row]), lead
-            known = bool(judged.known[row]) and lead > const.CLEAR_NATS
             again = _is_again(fine.poses[row], objects[at])
             found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], *said, again, known)
     return found
@@ -302,8 +302,8 @@ def _fresh(search: _Search, maps: Maps, objects: Sequence[TrackedObject], at: in
     worth = explains(rough) + stands_out(maps, rough.poses, controls, search.intrinsics) - unlikely
     worth += dyed(rough, search.palette, [at] * len(worth))
     # By turns the best by all that speaks for them, and those that faces alone had before the others: these as they
-    # were, as edges of what is dark, and beside its shadow, lead astray.
+    # were, as edges of what is dark, and beside its shadow, lead astray; but for heights, which are known about.
     count = len(worth)
     order = np.stack((np.argsort(-worth, kind="stable"), count + np.arange(count)), axis=1).ravel()
-    every = np.concatenate((rough.poses, proposed.poses))
+    every = np.concatenate((rough.poses, rough.poses if sweep["rough_m"] else proposed.poses))
     return np.asarray(every[different(every, order, const.FRESH)])

@@ -24,8 +24,8 @@ class Judged(NamedTuple):
     lines: Floats  # (k,) nats that each control point of `fine` says of its own
     beside: Floats  # (n,) nats that what lies beside the edges says
     colours: Floats  # (n,) nats of these that are said by what colours the object is known to have
-    known: Array  # (n,) whether these say that it is this object, and no other one that is missing
-    fits: Array  # (n,) whether enough of its edges is found: of what was seen before, more
+    known: Array  # (n,) whether these say that it is this object, no other one that is missing, and its edges fit well
+    fits: Array  # (n,) whether enough of its edges is found: of a model that was judged before, more
 
 
 class Together(NamedTuple):

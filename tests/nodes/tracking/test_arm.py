@@ -144,12 +144,23 @@ def test_what_is_expected_is_missing_as_soon_as_one_image_has_it_elsewhere() -> 
     assert suspected["status"] == "expected"
     np.testing.assert_array_equal(suspected["guesses"], [WORLD_FROM_OBJECT, FIRST_CAMERA])
     covariance = np.diag([1e-6] * 3 + [1e-4] * 3)
+    unclear = Sighting(NO_POSES, WORLD_FROM_OBJECT, covariance, 0.9, 20.0, const.CLEAR_NATS - 0.1)
+    guessed = tracking_arm._sighted(item, unclear, True)
+    assert (guessed["status"], guessed["lead"]) == ("expected", 0.0)
+    np.testing.assert_array_equal(guessed["guesses"], [WORLD_FROM_OBJECT, FIRST_CAMERA])
     found = Sighting(NO_POSES, WORLD_FROM_OBJECT, covariance, 0.9, 20.0, 9.0, True)
     statuses = []
     for _ in range(3):
         item = tracking_arm._sighted(item, found, False)
         statuses.append(item["status"])
     assert statuses == ["lost", "lost", "tracked"]
+
+
+def test_a_lead_ends_where_what_is_missing_is_expected_or_not_seen() -> None:
+    (item,) = after_first_epoch(node())["objects"]
+    leading = {**item, "lead": 12.0}
+    assert node()._missed(leading, item["pose"], None)["lead"] == 0.0
+    assert tracking_arm.unseen(leading)["lead"] == 0.0
 
 
 def test_what_is_seen_again_is_not_looked_for_everywhere_though_a_sweep_of_it_came_down() -> None:

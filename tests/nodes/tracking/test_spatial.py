@@ -259,8 +259,9 @@ def test_what_is_not_seen_or_needs_no_table_does_not_hang(status: str, table: bo
     assert (body["hangs"], len(body["others"])) == (0, 0)
 
 
+@pytest.mark.parametrize("sought", [True, False])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_what_is_found_again_far_away_has_fallen_over_the_way_it_went(way: float) -> None:
+def test_what_is_found_again_far_away_has_fallen_over_the_way_it_went(way: float, sought: bool) -> None:
     mesh = box_mesh([0.03, 0.04, 0.08])
     model = {"vertices": mesh.vertices, "faces": mesh.faces}
     pose = make_pose(np.eye(3), np.array([0.0, 0.0, 0.04]))
@@ -271,6 +272,6 @@ def test_what_is_found_again_far_away_has_fallen_over_the_way_it_went(way: float
     fallen = make_pose(exp_so3(np.array([0.0, way * np.pi / 2, 0.0])), np.array([way * 0.15, 0.0, 0.015]))
     turned = fallen @ make_pose(exp_so3(np.array([0.0, np.pi, 0.0])), np.zeros(3))
     for guess in (fallen, turned):
-        lost = {**sighting(pose, status="lost"), "guesses": guess[None], "sought": True}
+        lost = {**sighting(pose, status="lost"), "guesses": guess[None], "sought": sought}
         after = spatial.predict((), (), spatial.observe((lost, CAMERA), belief, Tick(2, 1 / 30)))
         np.testing.assert_allclose(after["bodies"][0]["others"][0], fallen, atol=1e-6)

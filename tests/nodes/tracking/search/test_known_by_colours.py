@@ -13,8 +13,10 @@ from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3, pose_error
 from hierax.nodes.tracking.schema import Looks
+from hierax.nodes.tracking.search import missing as missing_objects
 from hierax.nodes.tracking.search.association import Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
+from hierax.nodes.tracking.search.together import Judged
 
 OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.75)
 WIDE = np.diag([0.1**2] * 3 + [0.5**2] * 3)
@@ -94,6 +96,29 @@ def test_missing_cubes_of_known_colours_are_found_at_once(known: list[Looks]) ->
         sighted = found[at].pose
         assert sighted is not None
         assert pose_error(sighted, pose)[0] < 0.002
+
+
+@pytest.mark.parametrize(("tolerance", "score", "fits"), [(None, 0.65, True), (0.0, 0.65, False), (0.0, 0.75, True)])
+def test_of_a_model_that_was_judged_before_more_edges_have_to_be_found(
+    tolerance: float | None, score: float, fits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: Looks = {**NOTHING, "tolerance": tolerance}
+    missing = {"status": "lost", "failed_searches": 9}
+    level = np.append(CAMERA[2, :3], CAMERA[2, 3])
+    judged: list[Judged] = []
+    kept = missing_objects._decided
+    monkeypatch.setattr(missing_objects, "_decided", lambda said, *rest: judged.append(said) or kept(said, *rest))
+    aligned = missing_objects._Search.aligned
+
+    def scored(*arguments: Any) -> Any:
+        fine, *others = aligned(*arguments)
+        return fine._replace(scores=np.full(len(fine.scores), score)), *others
+
+    monkeypatch.setattr(missing_objects._Search, "aligned", scored)
+    look_for_missing(
+        SEEN, [item(1, POSES[0], looks, **missing)], {0: [imagined(POSES[0] @ NEAR)]}, (), INTRINSICS, level
+    )
+    assert [each.fits.tolist() for each in judged] == [[fits]]
 
 
 def test_of_missing_cubes_of_one_colour_and_of_unknown_ones_none_is_found_at_once(known: list[Looks]) -> None:
