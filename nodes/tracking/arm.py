@@ -365,23 +365,22 @@ def _speaks_against(estimate: Estimate) -> bool:
 def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> schema.TrackedObject:
     """An object after it was looked for; one that was found just now gives way to what explains its place better. It is
     not found before as many nats say so as so many images in a row that are clear, unless its colours say so."""
-    if sighting.pose is None or sighting.covariance is None:
-        if item["status"] == schema.EXPECTED:
-            return {**item, "guesses": np.concatenate((sighting.guesses, item["guesses"]))}
-        before = item["failed_searches"] if item["status"] == schema.LOST else 0
-        return {**_missing(item), "guesses": sighting.guesses, "failed_searches": before + swept}
+    pose, guesses = sighting.pose, sighting.guesses
+    likely = guesses if pose is None else np.concatenate((pose[None], guesses))
     if item["status"] == schema.EXPECTED and sighting.lead <= const.CLEAR_NATS:  # where it is expected may be right
-        return {**item, "guesses": np.concatenate((sighting.pose[None], sighting.guesses, item["guesses"]))}
+        return {**item, "guesses": np.concatenate((likely, item["guesses"]))}
+    if pose is None or sighting.covariance is None:
+        before = item["failed_searches"] if item["status"] == schema.LOST else 0
+        return {**_missing(item), "guesses": likely, "failed_searches": before + swept}
     lead = min(sighting.lead, const.CLEAR_NATS) + item["lead"] * sighting.again
     if lead < const.CONFIRMED * const.CLEAR_NATS and not sighting.known:
-        guesses = np.concatenate((sighting.pose[None], sighting.guesses))
         looked = max(item["failed_searches"], const.SWEEPS_FIRST)
-        return {**_missing(item), "guesses": guesses, "lead": lead, "failed_searches": looked}
+        return {**_missing(item), "guesses": likely, "lead": lead, "failed_searches": looked}
     return {
         **item,
         "slots": only_found(item["slots"]),
-        "pose": sighting.pose,
-        "before": sighting.pose,
+        "pose": pose,
+        "before": pose,
         "covariance": sighting.covariance,
         "score": sighting.score,
         "nats": sighting.nats,
@@ -394,7 +393,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         "probation": const.PROBATION,
         "lead": 0.0,
         "failed_searches": 0,
-        "guesses": sighting.guesses,
+        "guesses": guesses,
     }
 
 

@@ -141,9 +141,9 @@ OTHERS_SHARE = 0.1  # of a body's covariance, so much is left around each of its
 # By so many nats a pose has to explain the image better than clutter does: of the tens of thousands that were tried (e
 # to the 11th) it is then right with odds of 20 to 1 at least, of 3000 to 1 where fewer of its points are found.
 LEAST_NATS, SURE_NATS = 14.0, 19.0
-# And by so much better than any other choice, nats, in so many images in a row as confirm it, or by less in more; of
-# which so many have to be its edges' and its known colours'; so many control points in sight: on generator A (tower,
-# hidden 0, low contrast 0) right ones have at least 7.5, 8.2, 52.
+# And by so much better than any other choice, nats, in as many images in a row as confirm it (by less, but no less than
+# this over their number, in more); of which so many have to be its edges' and its known colours'; so many control
+# points in sight: on generator A (tower, hidden 0, low contrast 0) right ones have at least 7.5, 8.2, 52.
 CLEAR_NATS, LEAST_EDGES, LEAST_IN_SIGHT = 6.0, 8.0, 40.0
 SWEEPS_FIRST = 3  # so often all that are missing have to be looked for before one is believed
 CONFIRMED, PROBATION = 3, 20  # images that have to show one in one place, or hanging; after which it is not doubted

@@ -12,16 +12,13 @@ from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.palette import coloured, with_colours
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
-from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, looking_down, make_pose
 from hierax.nodes.tracking.model.controls import gathered
-from hierax.nodes.tracking.model.mesh import box_mesh
-from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.schema import ControlPoints, Looks
 from hierax.nodes.tracking.search.multistart import FINE
 from hierax.nodes.tracking.simworld.scene import develop, draw
 from hierax.nodes.tracking.simworld.shapes import Thing, cube
-from support.drawn import believed
+from support.drawn import believed, seen_of
 
 SIZE, SIDE_M = (640, 480), 0.045
 INTRINSICS = np.array([800.0, 800.0, 319.5, 239.5])
@@ -40,9 +37,7 @@ def picture(*colours: tuple[int, int, int], light: float = 1.0) -> Array:
 
 def controls(pose: Floats) -> ControlPoints:
     """What would be seen of a cube."""
-    mesh = box_mesh([SIDE_M] * 3)
-    found = controls_of(shape_of(mesh.vertices, mesh.faces), pose, INTRINSICS, SIZE, None)
-    return found.sent(found.visible.astype(np.float32))
+    return seen_of([SIDE_M] * 3, pose, INTRINSICS, SIZE)
 
 
 def aligned(image: Image) -> Aligned:

@@ -23,9 +23,19 @@ BOXES = (FIRST, SECOND)
 
 def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
     """An object as the arm's belief has it before an image."""
-    mesh = box_mesh(box.size)
-    controls = controls_of(shape_of(mesh.vertices, mesh.faces), predicted, INTRINSICS, SIZE)
-    return believed(box.label, predicted, controls.sent(controls.visible.astype(np.float32)))
+    return believed(box.label, predicted, seen_of(box.size, predicted))
+
+
+def seen_of(
+    sides_m: Sequence[float],
+    pose: Floats,
+    intrinsics: np.ndarray[Any, Any] = INTRINSICS,
+    size: tuple[int, int] = SIZE,
+) -> ControlPoints:
+    """What would be seen of a box at a pose, camera_from_object."""
+    mesh = box_mesh(sides_m)
+    controls = controls_of(shape_of(mesh.vertices, mesh.faces), pose, intrinsics, size)
+    return controls.sent(controls.visible.astype(np.float32))
 
 
 def believed(number: int, pose: Floats, controls: ControlPoints) -> dict[str, Any]:

@@ -13,15 +13,15 @@ from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3, pose_error
 from hierax.nodes.tracking.schema import Looks
-from hierax.nodes.tracking.search import missing as missing_objects
 from hierax.nodes.tracking.search.association import Options, associate
-from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
-from hierax.nodes.tracking.search.together import Judged
+from hierax.nodes.tracking.search.missing import Sighting, _judged, _Search, look_for_missing
+from hierax.nodes.tracking.search.sweep import maps_of
 
 OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.75)
 WIDE = np.diag([0.1**2] * 3 + [0.5**2] * 3)
 NEAR = exp_se3(np.array([0.001, -0.001, 0.001, 0.01, -0.01, 0.01]))
 AWAY = exp_se3(np.array([0.03, 0.01, 0.03, 0.1, 0.1, 0.0]))
+LEVEL = CAMERA[2]
 SEEN = smoothed(picture(RED, GREEN, BLUE))
 
 
@@ -84,9 +84,8 @@ def sightings(looks: list[Looks]) -> dict[int, Sighting]:
     """Of two missing cubes, each of which may be where any cube is, before all were looked for everywhere."""
     missing = {"status": "lost", "failed_searches": 0}
     objects = [item(number, POSES[number], each, **missing) for number, each in enumerate(looks)]
-    level = np.append(CAMERA[2, :3], CAMERA[2, 3])
     guesses = [imagined(pose @ NEAR) for pose in POSES]
-    return look_for_missing(SEEN, objects, dict.fromkeys(range(len(looks)), guesses), (), INTRINSICS, level)
+    return look_for_missing(SEEN, objects, dict.fromkeys(range(len(looks)), guesses), (), INTRINSICS, LEVEL)
 
 
 def test_missing_cubes_of_known_colours_are_found_at_once(known: list[Looks]) -> None:
@@ -102,23 +101,18 @@ def test_missing_cubes_of_known_colours_are_found_at_once(known: list[Looks]) ->
 def test_of_a_model_that_was_judged_before_more_edges_have_to_be_found(
     tolerance: float | None, score: float, fits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    looks: Looks = {**NOTHING, "tolerance": tolerance}
-    missing = {"status": "lost", "failed_searches": 9}
-    level = np.append(CAMERA[2, :3], CAMERA[2, 3])
-    judged: list[Judged] = []
-    kept = missing_objects._decided
-    monkeypatch.setattr(missing_objects, "_decided", lambda said, *rest: judged.append(said) or kept(said, *rest))
-    aligned = missing_objects._Search.aligned
+    aligned = _Search.aligned
 
     def scored(*arguments: Any) -> Any:
         fine, *others = aligned(*arguments)
         return fine._replace(scores=np.full(len(fine.scores), score)), *others
 
-    monkeypatch.setattr(missing_objects._Search, "aligned", scored)
-    look_for_missing(
-        SEEN, [item(1, POSES[0], looks, **missing)], {0: [imagined(POSES[0] @ NEAR)]}, (), INTRINSICS, level
-    )
-    assert [each.fits.tolist() for each in judged] == [[fits]]
+    monkeypatch.setattr(_Search, "aligned", scored)
+    missing: Any = item(1, POSES[0], {**NOTHING, "tolerance": tolerance}, status="lost")
+    guesses: Any = {0: [imagined(POSES[0] @ NEAR)]}
+    judged = _judged(_Search(SEEN, INTRINSICS, LEVEL, None), maps_of(SEEN), [missing], guesses)
+    assert judged is not None
+    assert judged.fits.tolist() == [fits]
 
 
 def test_of_missing_cubes_of_one_colour_and_of_unknown_ones_none_is_found_at_once(known: list[Looks]) -> None:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.drawn import seen_of
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
-from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.math.batched import pixels_of
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, looking_down, make_pose, transform
 from hierax.nodes.tracking.model.mesh import box_mesh
-from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.schema import ControlPoints
 from hierax.nodes.tracking.search.missing import _jump, _Search
 from hierax.nodes.tracking.search.multistart import FINE
@@ -39,9 +38,7 @@ def image() -> Image:
 
 
 def controls(number: int, pose: Floats) -> ControlPoints:
-    mesh = box_mesh([SIDES_M[number]] * 3)
-    found = controls_of(shape_of(mesh.vertices, mesh.faces), pose, INTRINSICS, SIZE, None)
-    return found.sent(found.visible.astype(np.float32))
+    return seen_of([SIDES_M[number]] * 3, pose, INTRINSICS, SIZE)
 
 
 def turned(across_px: float, down_px: float) -> Floats:
