@@ -21,7 +21,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tower_scenes import DEFAULTS, settings, words
+from tower_scenes import DEFAULTS, scenes_of, settings, words
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -45,7 +45,7 @@ def main() -> int:
     options = parser.parse_args()
     print(f"{'scene':>5} {'launch':9} {'epochs':>6} {'done':>5} {'digest':>7}", flush=True)
     right = True
-    for scene in range(*map(int, options.scenes.split(":"))):
+    for scene in scenes_of(options, parser):
         arguments = words(settings({"person": options.person}, scene))
         alone = hierax("run", *arguments)
         right &= told(scene, "killed", killed(arguments, alone["epochs"]), alone)

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from tower_kept import Kept
-from tower_scenes import CONTEXTS, given_of, scenes_of, settings
+from tower_scenes import CONTEXTS, given_of, scenes_of, settings, towers_of
 
 import hierax
 from hierax.nodes.tower.moving import OPEN
@@ -161,7 +161,7 @@ def episode(set_to: dict[str, str]) -> Outcome:
                     errors.add(PLACING, body, believed[body["id"]])
                 errors.add(FALLING if falling > 0 else ELSE, body, believed[body["id"]])
         report = run.report()
-        done = bool(report.nodes["world"].metrics["towers_done"] == 1)
+        done = bool(report.nodes["world"].metrics["towers_done"] == len(towers_of(set_to)))
         return Outcome(set_to, done, report.epochs, errors.tenths, errors.lost)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.recording.reading import Recording
@@ -61,6 +62,8 @@ class Film(ViewPresenter):
         things, self._things = self._things, {}
         if not things:
             return
+        if "camera/arm/image" not in things:
+            raise SystemExit("the recording has no pictures of the world's; make one without --exclude")
         beside = cv2.resize(things["beside/world/picture"].pixels, SIZE, interpolation=cv2.INTER_AREA)
         strip = np.full((STRIP_PX, 2 * SIZE[0], 3), 24, np.uint8)
         why, skill = (_lines(things[path]) for path in ("builder/why", "skills/skill"))
@@ -91,20 +94,34 @@ def main() -> int:
     parser.add_argument("picture", type=Path, help="a .webp that moves; a .jpg or .png with all on one sheet")
     parser.add_argument("--every", type=int, default=10, help="one epoch of so many")
     options = parser.parse_args()
-    recording = Recording.open(options.recording)
+    if options.every < 1:
+        parser.error("--every: expected 1 or more")
+    try:
+        recording = Recording.open(options.recording)
+    except HieraxError as error:
+        raise SystemExit(f"{options.recording}: {error}") from error
     film = Film(options.every)
     show_recording(recording, film, allowance_of(recording))
+    if not film.frames:
+        raise SystemExit(f"{options.recording}: there is no epoch with pictures in it")
     frames = [frame[..., ::-1].copy() for frame in film.frames]
-    if options.picture.suffix == ".webp":
-        animation = cv2.Animation()
-        animation.frames, animation.durations = frames, np.full(len(frames), SHOWN_MS)
-        cv2.imwriteanimation(str(options.picture), animation, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
-    else:
-        frames += [np.full_like(frames[0], 255)] * (-len(frames) % COLUMNS)
-        rows = [np.hstack(frames[at : at + COLUMNS]) for at in range(0, len(frames), COLUMNS)]
-        cv2.imwrite(str(options.picture), np.vstack(rows), [cv2.IMWRITE_JPEG_QUALITY, 80])
+    if not _is_written(options.picture, frames):
+        raise SystemExit(f"{options.picture}: cannot be written; expected a .webp, a .jpg or a .png in a folder")
     print(f"{options.picture}: {len(film.frames)} pictures, {options.picture.stat().st_size // 1000} kB")
     return 0
+
+
+def _is_written(picture: Path, frames: list[Picture]) -> bool:
+    """Write the frames, BGR, as a picture that moves, or on one sheet; whether that could be done."""
+    if picture.suffix == ".webp":
+        animation = cv2.Animation()
+        animation.frames, animation.durations = frames, np.full(len(frames), SHOWN_MS)
+        return bool(cv2.imwriteanimation(str(picture), animation, [cv2.IMWRITE_WEBP_QUALITY, QUALITY]))
+    if picture.suffix not in (".jpg", ".png"):
+        return False
+    frames = [*frames, *[np.full_like(frames[0], 255)] * (-len(frames) % COLUMNS)]
+    rows = [np.hstack(frames[at : at + COLUMNS]) for at in range(0, len(frames), COLUMNS)]
+    return bool(cv2.imwrite(str(picture), np.vstack(rows), [cv2.IMWRITE_JPEG_QUALITY, 80]))
 
 
 if __name__ == "__main__":

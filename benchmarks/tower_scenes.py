@@ -78,6 +78,12 @@ def interferences(person: str, scene: int) -> list[str]:
     return sorted((str(name) for name in drawn), key=lambda name: name != EARLY)
 
 
+def asked_of(set_to: Mapping[str, str]) -> int:
+    """How many interferences are asked of somebody."""
+    person = json.loads(set_to["person"])
+    return len(person) if isinstance(person, list) else int(person != NONE)
+
+
 def episode(command: str, set_to: Mapping[str, str]) -> dict[str, Any]:
     """The report of a scene to its end, by a command, run or launch; ends the program where that fails."""
     return reported(f"scene {set_to['scene']}", command, *words(set_to))
@@ -85,14 +91,20 @@ def episode(command: str, set_to: Mapping[str, str]) -> dict[str, Any]:
 
 def towers_of(set_to: Mapping[str, str]) -> Towers:
     """The towers that are asked for."""
-    cubes, tower = (read_tree(set_to[name], name).value for name in ("cubes", "tower"))
-    return read_towers(tower, cubes)
+    return read_towers(read_tree(set_to["tower"], "tower").value, _cubes(set_to))
+
+
+def _cubes(set_to: Mapping[str, str]) -> int:
+    cubes = read_tree(set_to["cubes"], "cubes").value
+    if type(cubes) is not int:
+        raise ValueError(f"cubes is {cubes!r}; expected a whole number")
+    return cubes
 
 
 def least_moves(set_to: Mapping[str, str]) -> int:
     """How many moves the shortest plan has from how a scene is laid out, which all succeed while nobody interferes.
     Raises ValueError: what plans is not there, or the towers cannot be built."""
-    blocks = {place.id: place.below or TABLE for place in planned(int(set_to["scene"]), int(set_to["cubes"]))}
+    blocks = {place.id: place.below or TABLE for place in planned(int(set_to["scene"]), _cubes(set_to))}
     plan = shortest_plan(towers_of(set_to), blocks)
     if plan is None:
         raise ValueError(f"no plan builds {set_to['tower']} of {blocks}")

@@ -45,8 +45,7 @@ def planned(scene: int, cubes: int = CUBES) -> tuple[Place, ...]:
     """The places of all cubes, 1 to 6, of a scene, from 0. In every other scene the second cube stands on the first.
     The third one stands close to the first, so that one of them hides the other and keeps the gripper from some of its
     sides. Raises ValueError: a number is out of its range, or there is no room."""
-    if not 1 <= cubes <= len(SIDES_M):
-        raise ValueError(f"cubes is {cubes}; expected a number from 1 to {len(SIDES_M)}")
+    check_cubes(cubes)
     if scene < 0:
         raise ValueError(f"scene is {scene}; expected a number from 0")
     rng = np.random.default_rng([scene, _PLAN])
@@ -60,6 +59,12 @@ def planned(scene: int, cubes: int = CUBES) -> tuple[Place, ...]:
         yaw = exp_so3(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
         places.append(Place(number, side, colour, make_pose(yaw, np.array([*centre, height])), below))
     return tuple(places)
+
+
+def check_cubes(cubes: int) -> None:
+    """Raises ValueError: no scene has so many cubes."""
+    if not 1 <= cubes <= len(SIDES_M):
+        raise ValueError(f"cubes is {cubes}; expected a number from 1 to {len(SIDES_M)}")
 
 
 def guessed(scene: int, cubes: int = CUBES) -> list[Floats]:

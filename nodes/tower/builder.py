@@ -103,15 +103,23 @@ def builder(builder: str, tower: Any, cubes: int = CUBES) -> Builder:
     Raises ValueError: there is none of that name."""
     from hierax.nodes.tower.planner import OpenLoop, Planner  # it builds upon this module
 
+    _check_name(builder)
     kinds: dict[str, type[Builder]] = {REACTIVE: TeleoReactive, PLANNER: Planner, OPEN_LOOP: OpenLoop}
-    if builder not in kinds:
-        raise ValueError(f"builder is {builder!r}; expected one of {', '.join(kinds)}")
     return kinds[builder](tower, cubes)
 
 
 def skills_for(builder: str) -> SkillsNode:
-    """The skills node for a builder by its name: below one that does not look, neither does the hand."""
+    """The skills node for a builder by its name: below one that does not look, neither does the hand.
+
+    Raises ValueError: there is none of that name."""
+    _check_name(builder)
     return SkillsNode(once=builder == OPEN_LOOP)
+
+
+def _check_name(builder: str) -> None:
+    names = (REACTIVE, PLANNER, OPEN_LOOP)
+    if builder not in names:
+        raise ValueError(f"builder is {builder!r}; expected one of {', '.join(names)}")
 
 
 def wished(belief: Value) -> Elements:

@@ -4,6 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import permutations
 from typing import Any, TypeAlias
 
+from hierax.nodes.picking.layout import check_cubes
+
 Tower: TypeAlias = "tuple[int, ...] | frozenset[int]"
 """Ids of cubes from the bottom up; or of those of which it is to be built, in any order."""
 
@@ -15,7 +17,8 @@ def read_towers(given: Any, cubes: int) -> Towers:
 
     Args: given: one tower, as ``[3, 1, 4]``, or several, as ``[[3, 1], [4, 2]]``; ids of cubes, from the bottom up.
         One may be a set, ``{2, 5}``: these cubes, in any order. cubes: how many there are, with ids from 1.
-    Raises ValueError: it is none, a cube is not there, or is asked for twice."""
+    Raises ValueError: it is none, a cube is not there, or is asked for twice; or no scene has so many cubes."""
+    check_cubes(cubes)
     several = given if _is_list(given) and given and all(map(_is_tower, given)) else [given]
     towers = tuple(_read_tower(tower) for tower in several)
     if not all(towers) or not towers:

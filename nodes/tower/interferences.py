@@ -39,6 +39,13 @@ class Stop(NamedTuple):
     brings: int = 0  # the cube that is brought back in place of this stop, to where there is room by then; 0: none
 
 
+class Drawn(NamedTuple):
+    """What is drawn for an interference."""
+
+    rng: np.random.Generator
+    height: float  # between 0 and 1: how high the tower is when it is due
+
+
 class Scene(NamedTuple):
     """What the person sees: the truth, and what is asked for."""
 
@@ -49,9 +56,9 @@ class Scene(NamedTuple):
     standing: tuple[int, ...]  # of the tower that is being built, those that stand as they should, from the bottom up
     wanted: int | None  # the one that comes next; None: no tower is to be built any more
     hidden: frozenset[int]  # cubes of which the robot's camera does not see the middle
-    rng: np.random.Generator
     whole: int  # how many cubes the tower that is being built has once it is done
-    drawn: float  # between 0 and 1: how high the tower is when something is due
+    rng: np.random.Generator  # as `Drawn` has it, and so is the next
+    drawn: float
 
     @property
     def idle(self) -> list[int]:
@@ -142,7 +149,8 @@ def _swept(scene: Scene, number: int, speed: float) -> list[Stop]:
 def _knock(scene: Scene) -> list[Stop] | None:
     if len(scene.standing) < 2 or not scene.is_free(*scene.standing):
         return None
-    return _swept(scene, scene.standing[-1], 0.35)
+    level = scene.rng.integers(1, len(scene.standing))  # what stands on that one falls with it
+    return _swept(scene, scene.standing[level], 0.35)
 
 
 def _push(scene: Scene) -> list[Stop] | None:
@@ -259,7 +267,7 @@ def _help(scene: Scene) -> list[Stop] | None:
 
 
 ACTS: Mapping[str, Act] = {
-    "knock": _knock,  # the tower over
+    "knock": _knock,  # the tower over, from one of its cubes on that is not the lowest
     "move": _move,  # the cube that is about to be taken
     "swap": _swap,  # two cubes, one of which the camera does not see
     "take": _take,  # the cube out of the robot's hand

@@ -1,18 +1,28 @@
 """Somebody who interferes while towers are built: when it begins, where the hand is, and how it is seen.
 
 Each interference (`hierax.nodes.tower.interferences`) begins when it can be done, once the tower is as high as is drawn
-from the seed, after a pause that is drawn, too; then the hand goes from stop to stop. It is a body like others
+from the seed, after a pause that is drawn, too; then the hand goes from stop to stop. Of several that can begin the
+first one does, so that one that cannot does not keep others from it. The hand is a body like others
 (`hierax.nodes.picking.workcell.Guest`): it pushes, and what it grips hangs on it by a bounded force."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from hierax.nodes.picking.panda import gripper_at
 from hierax.nodes.picking.workcell import GUEST_HALF_M, Grip, Guest
-from hierax.nodes.tower.interferences import ACTS, HOME_M, KEEPS_M, Scene, Stop, brought, is_due
-from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, log_so3, make_pose, project, transform
+from hierax.nodes.tower.interferences import ACTS, HOME_M, KEEPS_M, Drawn, Scene, Stop, brought, is_due
+from hierax.nodes.tracking.math.geometry import (
+    Floats,
+    exp_so3,
+    invert,
+    is_behind,
+    log_so3,
+    make_pose,
+    project,
+    transform,
+)
 from hierax.runtime import Value
 
 PAUSE_S = 1.5  # an interference begins at most so long after it could
@@ -29,19 +39,25 @@ SKIN, SLEEVE = (222, 170, 136), (58, 70, 96)
 _FOREARM_M = (0.05, 0.05, 0.11)  # of each of the pieces behind the palm, drawn alone
 
 
-def acted(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) -> tuple[Value, Guest | None]:
+Seen = Callable[[int], Scene]
+"""What the person sees, for the interference of a number."""
+
+
+def acted(belief: Value, seen: Seen, names: Sequence[str], interval_s: float) -> tuple[Value, Guest | None]:
     """What the person believes a frame later, and what the hand does in it; None: it is not there.
 
-    The belief: ``done``, how many interferences are over, and ``happened``, in how many of them a cube was gripped or
-    moved; ``pause_s`` until the next one (None: it cannot begin yet). Of the present one: ``stops``, maps of `Stop`'s
-    fields; ``hand`` (world_from_palm), ``velocity`` (6,), ``target`` (of the hand, as ``hand``), ``holds``
-    (palm_from_cube; None: nothing); ``touched``, whether it counts as happened, also where the hand drew back after
-    that, to try again, and ``from``, where each cube was when it began, m; ``late_s``, how long the present stop takes
-    longer than it should, and ``waited_s``, how long the hand has let the gripper pass."""
+    The belief: ``over``, the numbers of the interferences that are over, and ``happened``, in how many of them a cube
+    was gripped or moved; ``pauses_s``, by number, until others may begin that could. Of the present one: ``act``, its
+    number (None: there is none); ``stops``, maps of `Stop`'s fields; ``hand`` (world_from_palm), ``velocity`` (6,),
+    ``target`` (of the hand, as ``hand``), ``holds`` (palm_from_cube; None: nothing); ``touched``, whether it counts as
+    happened, also where the hand drew back after that, to try again, and ``from``, where each cube was when it began,
+    m; ``late_s``, how long the present stop takes longer than it should, and ``waited_s``, how long the hand has let
+    the gripper pass."""
     if not belief["stops"]:
-        belief = _begun(belief, scene, names, interval_s)
+        belief = _begun(belief, seen, names, interval_s)
         if not belief["stops"]:
             return belief, None
+    scene = seen(belief["act"])
     belief = _going_on(belief, scene)
     stop = Stop(**belief["stops"][0])
     belief = _gripping(belief, stop, scene)
@@ -93,10 +109,11 @@ def moved(belief: Value, hand: Floats, velocity: Floats) -> Value:
     after = {**belief, "stops": left, "late_s": 0.0}
     if left:
         return after
-    after = {**after, "holds": None, "pause_s": None}
+    after = {**after, "holds": None, "act": None, "pauses_s": {}}
     if not stop.counts:
         return after
-    return {**after, "done": belief["done"] + 1, "happened": belief["happened"] + belief["touched"], "touched": False}
+    over, happened = (*belief["over"], belief["act"]), belief["happened"] + belief["touched"]
+    return {**after, "over": over, "happened": happened, "touched": False}
 
 
 def obstacles(belief: Value) -> tuple[Mapping[str, Any], ...]:
@@ -115,11 +132,12 @@ def obstacles(belief: Value) -> tuple[Mapping[str, Any], ...]:
 
 
 NOBODY: Value = {
-    "done": 0,
+    "over": (),
     "happened": 0,
     "touched": False,
     "from": {},
-    "pause_s": None,
+    "pauses_s": {},
+    "act": None,
     "stops": (),
     "holds": None,
     "late_s": 0.0,
@@ -131,59 +149,70 @@ NOBODY: Value = {
 """The belief before anything has happened."""
 
 
-def can_begin(belief: Value, scene: Scene, names: Sequence[str]) -> bool:
-    """Whether something is under way, or will be."""
-    at = belief["done"]
-    return bool(belief["stops"]) or (at < len(names) and ACTS[names[at]](scene) is not None)
+def is_about_to(belief: Value, seen: Seen, names: Sequence[str]) -> bool:
+    """Whether something is under way, or could begin now."""
+    left = _left(belief, names)
+    return bool(belief["stops"]) or any(ACTS[names[number]](seen(number)) is not None for number in left)
 
 
-def scene_of(belief: Value, order: tuple[int, ...], height: int, rng: np.random.Generator, drawn: float) -> Scene:
-    """What the person sees of a world's belief, where so many cubes of a tower stand as they should."""
+def _left(belief: Value, names: Sequence[str]) -> list[int]:
+    """The numbers of the interferences that are not over yet."""
+    return [number for number in range(len(names)) if number not in belief["over"]]
+
+
+def seen_of(belief: Value, order: tuple[int, ...], height: int, drawn: Callable[[int], Drawn]) -> Seen:
+    """What the person sees of a world's belief, where so many cubes of a tower stand as they should, and what is drawn
+    for the interference of each number."""
     bodies = {body["id"]: body for body in belief["bodies"]}
     middles = np.stack([body["pose"][:3, 3] for body in belief["bodies"]])
     seen = transform(invert(belief["camera"]), middles)
     pixels = project(seen, belief["intrinsics"])
     inside = (seen[:, 2] > 0.0) & np.all((pixels > 0) & (pixels < np.array(belief["size"])), axis=1)
+    for body in bodies.values():
+        box = body["side_m"] / 2 * np.array([[-1.0] * 3, [1.0] * 3])
+        others = np.array([number != body["id"] for number in bodies])
+        inside &= ~(is_behind(seen, invert(belief["camera"]) @ body["pose"], box) & others)
     hidden = frozenset(number for number, shown in zip(bodies, inside, strict=True) if not shown)
     wanted = order[height] if height < len(order) else None
     gripper = gripper_at(belief["joints"])
     hand = (gripper[:3, 3], gripper[:3, 1], belief["raised"])
-    return Scene(bodies, *hand, order[:height], wanted, hidden, rng, len(order), drawn)
+    return lambda number: Scene(bodies, *hand, order[:height], wanted, hidden, len(order), *drawn(number))
 
 
-def generator(seed: int, scene: int, number: int) -> np.random.Generator:
-    """What the interference of this number of a scene is drawn from."""
-    return np.random.default_rng([seed, scene, number, _PERSON])
+def drawn_for(seed: int, scene: int, number: int, count: int) -> Drawn:
+    """What is drawn for the interference of this number, of so many of a scene: the first of several is due while the
+    tower is low, the last one when it is high."""
+    share = float(np.random.default_rng([seed, scene, number, _HEIGHT]).uniform())
+    return Drawn(np.random.default_rng([seed, scene, number, _PERSON]), (number + share) / count)
 
 
-def height_drawn(seed: int, scene: int, number: int, count: int) -> float:
-    """Between 0 and 1, how high the tower is from which on the interference of this number is due: the first of several
-    while it is low, the last one when it is high."""
-    return (number + float(np.random.default_rng([seed, scene, number, _HEIGHT]).uniform())) / count
+def _begun(belief: Value, seen: Seen, names: Sequence[str], interval_s: float) -> Value:
+    """The belief with the first interference that begins now, if there is one."""
+    pauses_s = dict(belief["pauses_s"])
+    for number in _left(belief, names):
+        scene, name, key = seen(number), names[number], str(number)
+        stops = ACTS[name](scene) if is_due(name, scene) else None
+        if key in pauses_s:
+            pauses_s[key] = max(pauses_s[key] - interval_s, 0.0)
+        elif stops is not None:
+            pauses_s[key] = float(scene.rng.uniform(0.0, PAUSE_S))
+        if stops is not None and pauses_s[key] <= 0.0:
+            return _beginning(belief, scene, number, stops)
+    return {**belief, "pauses_s": pauses_s}
 
 
-def _begun(belief: Value, scene: Scene, names: Sequence[str], interval_s: float) -> Value:
-    """The belief with the next interference, if it begins now."""
-    if belief["done"] >= len(names):
-        return belief
-    name, pause_s = names[belief["done"]], belief["pause_s"]
-    stops = ACTS[name](scene) if is_due(name, scene) else None
-    if pause_s is None and stops is not None:
-        pause_s = float(scene.rng.uniform(0.0, PAUSE_S))
-    elif pause_s is not None:
-        pause_s = max(pause_s - interval_s, 0.0)
-    if stops is None or pause_s is None or pause_s > 0.0:
-        return {**belief, "pause_s": pause_s}
+def _beginning(belief: Value, scene: Scene, number: int, stops: Sequence[Stop]) -> Value:
+    """The belief with an interference that begins."""
     side = np.sign(stops[0].to[1]) or 1.0
     home = HOME_M * (1.0, side, 1.0)
     there = make_pose(np.eye(3), home)
     begun = {
+        "act": number,
         "waited_s": 0.0,
         "from": {str(number): body["pose"][:3, 3] for number, body in scene.bodies.items()},
     }
     every = tuple(stop._asdict() for stop in (*stops, Stop(home)))
-    hand = {"hand": there, "target": there, "velocity": np.zeros(6)}
-    return {**belief, **begun, **hand, "pause_s": pause_s, "stops": every}
+    return {**belief, **begun, "hand": there, "target": there, "velocity": np.zeros(6), "pauses_s": {}, "stops": every}
 
 
 def _has_moved(belief: Value, scene: Scene) -> bool:

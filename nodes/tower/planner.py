@@ -14,8 +14,8 @@ from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.tower.builder import Builder
 from hierax.nodes.tower.doing import DOING
 from hierax.nodes.tower.goals import Towers
-from hierax.nodes.tower.rules import LOOKED_FOR, NO_PLAN, Plan, Step, Wish
-from hierax.nodes.tower.symbols import Symbols
+from hierax.nodes.tower.rules import LOOKED_FOR, NO_PLAN, Plan, Step, Wish, is_done
+from hierax.nodes.tower.symbols import NOTHING, Symbols
 from hierax.nodes.tracking.schema import TABLE
 from hierax.runtime import Value
 
@@ -30,6 +30,9 @@ _NAMES = {TABLE: "table", HAND: "hand"}
 _RULES = """
 time(1..n).  place(C) :- cube(C).  place(table).
 at(C, L, 0) :- init(C, L).
+:- at(C, L, 0), at(D, L, 0), cube(L), C < D.
+stood(C) :- init(C, table).  stood(C) :- init(C, hand).  stood(C) :- init(C, L), stood(L).
+:- init(C, _), not stood(C).
 { move(C, L, T) : cube(C), place(L), C != L; look(C, T) : cube(C) } = 1 :- time(T).
 moved(C, T) :- move(C, _, T).
 at(C, L, T) :- move(C, L, T).
@@ -64,9 +67,11 @@ class PlanningBuilder(Builder):
 
     def decided(self, symbols: Symbols, skill: Mapping[str, Any], belief: Value) -> tuple[Wish, Plan]:
         before = Plan(tuple(belief["plan"]), tuple(belief["expects"]))
-        if before == NO_PLAN and symbols.doubts:
-            return Wish("look"), NO_PLAN  # it is not settled yet what is where
+        if not self._is_ours(before):
+            before = NO_PLAN
         now = blocks_of(symbols, self.cubes)
+        if before == NO_PLAN and (symbols.doubts or set(now.values()) == {UNSETTLED}):
+            return Wish("look"), NO_PLAN  # it is not settled yet what is where
         plan = None if before == NO_PLAN else self.followed(before, now, skill)
         if plan is not None:
             return _wish_of(plan, "as planned"), plan
@@ -76,6 +81,17 @@ class PlanningBuilder(Builder):
             return Wish("look"), NO_PLAN  # what is believed contradicts itself
         plan = Plan(steps, tuple(settled.items()))
         return _wish_of(plan, "planned" if before == NO_PLAN else "planned again"), plan
+
+    def _is_ours(self, plan: Plan) -> bool:
+        """Whether a plan builds these towers of these cubes: a builder before this one may have made it for others."""
+        blocks = dict(plan.expects)
+        if blocks.keys() != set(self.cubes):
+            return False
+        for cube, onto in plan.plan:
+            blocks[cube] = _goal_of(onto)
+        on = tuple((upper, lower) for upper, lower in blocks.items() if lower in blocks)
+        built = NOTHING._replace(on=on, on_table=tuple(cube for cube, lower in blocks.items() if lower == TABLE))
+        return all(is_done(tower, built) for tower in self.towers)
 
     @abstractmethod
     def followed(self, plan: Plan, now: Blocks, skill: Mapping[str, Any]) -> Plan | None:
@@ -93,10 +109,9 @@ class Planner(PlanningBuilder):
             return None
         if cube is None:
             return plan
-        goes_to = TABLE if onto == LOOKED_FOR else onto
         is_found = onto == LOOKED_FOR and now[cube] == UNSETTLED and _is_over(plan, skill)
-        if now[cube] == goes_to or is_found:
-            return Plan(plan.plan[1:], tuple({**expected, cube: goes_to}.items()))
+        if now[cube] == _goal_of(onto) or is_found:
+            return _one_on(plan)
         return plan if now[cube] in (HAND, UNSETTLED, expected[cube]) else None
 
 
@@ -104,7 +119,18 @@ class OpenLoop(PlanningBuilder):
     """Makes a plan once, and does not look any more: a move is over when the skills node says so. For comparison."""
 
     def followed(self, plan: Plan, now: Blocks, skill: Mapping[str, Any]) -> Plan:
-        return plan._replace(plan=plan.plan[1:]) if _is_over(plan, skill) else plan
+        return _one_on(plan) if _is_over(plan, skill) else plan
+
+
+def _goal_of(onto: int) -> int:
+    """What a cube is on after a step."""
+    return TABLE if onto == LOOKED_FOR else onto
+
+
+def _one_on(plan: Plan) -> Plan:
+    """What is left of a plan after its first step."""
+    (cube, onto), *left = plan.plan
+    return Plan(tuple(left), tuple((dict(plan.expects) | {cube: _goal_of(onto)}).items()))
 
 
 def _is_over(plan: Plan, skill: Mapping[str, Any]) -> bool:

@@ -1,6 +1,7 @@
 """The world of the tower building arm: that of the picking one, which also knows by the truth what was built."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -10,8 +11,8 @@ from hierax.nodes.picking.layout import CUBES
 from hierax.nodes.picking.panda import gripper_at
 from hierax.nodes.picking.world import PickWorld
 from hierax.nodes.tower.goals import Tower, orders_of, read_towers
-from hierax.nodes.tower.interferences import ACTS, Scene
-from hierax.nodes.tower.person import NOBODY, acted, can_begin, generator, height_drawn, moved, obstacles, scene_of
+from hierax.nodes.tower.interferences import ACTS
+from hierax.nodes.tower.person import NOBODY, Seen, acted, drawn_for, is_about_to, moved, obstacles, seen_of
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 
 NONE = "none"  # in place of what a person does: nobody is there
@@ -32,8 +33,8 @@ class TowerWorld(PickWorld):
     consists in pictures.
 
     Args: tower: as `hierax.nodes.tower.goals.read_towers` has it; person: what somebody does to the towers, one of
-        `hierax.nodes.tower.interferences.ACTS`, or several, one after the other; ``none``: nothing; scene, cubes,
-        frames, options: as `PickWorld` has them.
+        `hierax.nodes.tower.interferences.ACTS`, or several, one after the other; ``none``: nothing; the others as
+        `PickWorld` has them.
     Raises ValueError: the tower cannot be built of these cubes, or nobody does such a thing."""
 
     def __init__(
@@ -43,11 +44,16 @@ class TowerWorld(PickWorld):
         scene: int = 0,
         cubes: int = CUBES,
         frames: int = 2400,
-        **options: Any,
+        width: int = 640,
+        height: int = 480,
+        noise: float = 2.0,
+        blur_px: float = 0.7,
+        fps: int = 20,
+        acceleration_m_s2: float = 0.5,
     ) -> None:
+        super().__init__(scene, cubes, frames, width, height, noise, blur_px, fps, acceleration_m_s2)
         self._towers, self._scene = read_towers(tower, cubes), scene
         self._acts = _read_acts(person)
-        super().__init__(scene, cubes, frames, **options)
         rests = {str(body["id"]): float(body["pose"][2, 3]) for body in self._first["bodies"]}
         counted = {"done_s": 0.0, "actions": 0, "raised": (), "rests": rests}
         self._first = {**self._first, **counted, "person": NOBODY, "obstacles": ()}
@@ -55,7 +61,7 @@ class TowerWorld(PickWorld):
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """γ of `PickWorld` with a person, and what has come of it."""
         person, guest = belief["person"], None
-        if person["done"] < len(self._acts):
+        if len(person["over"]) < len(self._acts):
             person, guest = acted(person, self._seen(belief, tick.seed), self._acts, 1.0 / self._fps)
         after, left = self.advanced(actions, belief, guest)
         person = person if left is None else moved(person, left.pose, left.velocity)
@@ -85,8 +91,7 @@ class TowerWorld(PickWorld):
         over."""
         if belief["frame"] >= self._frames or belief["done_s"] < DONE_S - 1e-9:
             return bool(belief["frame"] >= self._frames)
-        is_over = belief["person"]["done"] >= len(self._acts)
-        return is_over or not can_begin(belief["person"], self._seen(belief, 0), self._acts)
+        return not is_about_to(belief["person"], self._seen(belief, 0), self._acts)
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """By the truth: how many towers stand, how far the middle of a cube in them is beside that of the one below at
@@ -102,16 +107,15 @@ class TowerWorld(PickWorld):
             "interferences": float(belief["person"]["happened"]),
         }
 
-    def _seen(self, belief: Value, seed: int) -> Scene:
+    def _seen(self, belief: Value, seed: int) -> Seen:
         """What the person sees."""
         bodies = {body["id"]: body for body in belief["bodies"]}
         built = [_order_built(tower, bodies) for tower in self._towers]
         left = [tower for tower, order in zip(self._towers, built, strict=True) if order is None]
         orders = [order for tower in left for order in orders_of(tower)] or [built[-1] or ()]  # all stand: the last one
         order = max(orders, key=lambda order: _height_of(order, bodies))
-        which = (seed, self._scene, belief["person"]["done"])
-        drawn = height_drawn(*which, len(self._acts) or 1)
-        return scene_of(belief, order, _height_of(order, bodies), generator(*which), drawn)
+        drawn = partial(drawn_for, seed, self._scene, count=len(self._acts))
+        return seen_of(belief, order, _height_of(order, bodies), drawn)
 
     def _all_built(self, belief: Value) -> bool:
         bodies = {body["id"]: body for body in belief["bodies"]}

@@ -145,7 +145,7 @@ LEAST_NATS, SURE_NATS = 14.0, 19.0
 # this over their number, in more); of which so many have to be its edges' and its known colours'; so many control
 # points in sight: on generator A (tower, hidden 0, low contrast 0) right ones have at least 7.5, 8.2, 52.
 CLEAR_NATS, LEAST_EDGES, LEAST_IN_SIGHT = 6.0, 8.0, 40.0
-SWEEPS_FIRST = 3  # so often all that are missing have to be looked for before one is believed
+SWEEPS_FIRST = 3  # so often all that were never seen have to be looked for before one that is missing is believed
 CONFIRMED, PROBATION = 3, 20  # images that have to show one in one place, or hanging; after which it is not doubted
 # How far a pose in which a body rests may be off (m², rad²), and of that upwards, and about level axes: by the camera's
 # error; of the height that bodies reach, how far it may be off, and by how much it is tried lower in turns.

@@ -33,7 +33,14 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     from hierax.runtime.loading.loader import extend_import_path
     from hierax.runtime.recording.decisions import Decisions
     from hierax.runtime.recording.diff import compare
-    from hierax.runtime.recording.replay import Replay, allowance_of, check_names, other_settings, recorded_deployment
+    from hierax.runtime.recording.replay import (
+        Replay,
+        allowance_of,
+        changed_nodes,
+        check_names,
+        other_settings,
+        recorded_deployment,
+    )
 
     if 0 < options.speed < SLOWEST:
         raise CommandError(f"--speed {options.speed:g}: expected 0, or a number from {SLOWEST:g} on")
@@ -43,6 +50,8 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     info = recording.info
     allowance = allowance_of(recording, options.trust)
     extend_import_path(tuple(info.import_paths))
+    for setting in options.overrides or ():
+        _check_changes(setting, changed_nodes(info, setting), recorded_deployment(info).roster.world, options)
     replaced = _classes(options.classes or ())
     check_names(recording, [*replaced, *([] if options.node is None else [options.node])])
     named = [module_of(target) for target in replaced.values()]
@@ -85,6 +94,17 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
             print()
             print_decisions(decisions)
     return OK if comparison is None or comparison.alike else FAILED
+
+
+def _check_changes(setting: str, changed: frozenset[str], world: str, options: RunOptions) -> None:
+    """Raises `CommandError` where a setting changes nodes alone that are not done again."""
+    again = changed if options.node is None else changed & {options.node}
+    if options.world is not WorldMode.again:
+        again -= {world}
+    if changed and not again:
+        what = "the other nodes do" if options.node is not None else "the world does"
+        changes = f"changes {', '.join(sorted(changed))} alone"
+        raise CommandError(f"--set {setting}: {changes}; {what} here what the recording says")
 
 
 def decisions_json(decisions: "Decisions") -> "dict[str, Any]":

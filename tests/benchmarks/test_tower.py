@@ -18,12 +18,15 @@ Ran = list[tuple[str, dict[str, str]]]
 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch) -> Ran:
-    """What was run, by which command; scene 7 is not done, and launched scene 8 has another digest."""
+    """What was run, by which command; scene 7 is not done, launched scene 8 has another digest, and in scene 3 nothing
+    happens of what is asked of somebody."""
     calls: Ran = []
 
     def episode(command: str, set_to: dict[str, str]) -> dict[str, Any]:
         calls.append((command, dict(set_to)))
-        world = {"towers_done": float(set_to["scene"] != "7"), "placed_mm_max": 1.5, "interferences": 1.0}
+        acts = 0 if set_to["scene"] == "3" else tower_scenes.asked_of(set_to)
+        done = float(set_to["scene"] != "7")
+        world = {"towers_done": done, "placed_mm_max": 1.5, "interferences": float(acts), "actions": 8.0}
         digest = f"{command if set_to['scene'] == '8' else ''}{set_to['scene']:0>16}"
         nodes = {"world": {"metrics": world}, "skills": {"metrics": {"moves": 9.0}}}
         return {"nodes": nodes, "epochs": 600, "wall_s": 50.0, "digest": digest}
@@ -75,6 +78,15 @@ def test_a_scene_that_is_not_done_and_a_launch_with_another_digest_are_told(
     assert tower.main(["--scenes", "8:10", "--launched", "2"]) == 1
     told = capsys.readouterr().out
     assert (told.count("launched, equal"), told.count("launched, OTHER DIGEST")) == (3, 1)
+
+
+def test_where_nothing_happens_another_scene_is_run(ran: Ran, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tower.main(["--scenes", "2:4", "--person", "none"]) == 0
+    assert "not counted" not in capsys.readouterr().out
+    assert tower.main(["--scenes", "2:4", "--person", "knock"]) == 0
+    assert "2 of 2 done; not counted: 3, where not all happened" in capsys.readouterr().out
+    assert [set_to["scene"] for _, set_to in ran] == ["2", "3", "2", "3", "4"]
+    assert tower.main(["--scenes", "3:7", "--person", "knock"]) == 1, "scene 7, in the place of 3, is not done"
 
 
 def test_it_goes_on_where_it_was_ended(ran: Ran, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

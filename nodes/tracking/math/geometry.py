@@ -163,6 +163,19 @@ def rays(pixels: Array, intrinsics: Array) -> Floats:
     return np.stack((x, (pixels[..., 1] - cy) / fy, np.ones_like(x)), axis=-1)
 
 
+def is_behind(points: Floats, pose: Floats, box: Floats, margin_m: float = 0.0) -> Array:
+    """(n,) whether a box (2, 3), its low and its high corner in its own frame, at a pose hides points (n, 3): it is
+    nearer to the camera than they are, by more than a margin. All in the camera's frame."""
+    to_box = invert(pose)
+    eye, ends = to_box[:3, 3], transform(to_box, points)
+    ways = ends - eye
+    ways = np.where(np.abs(ways) < 1e-9, 1e-9, ways)
+    sides = (box[:, None] - eye) / ways
+    enters, leaves = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
+    lengths = np.linalg.norm(ways, axis=1)
+    return np.asarray((enters < leaves) & (leaves > 0.0) & ((1.0 - enters) * lengths > margin_m))
+
+
 def _length(vector: Array) -> float:
     """That of (3,): numpy's own norm takes far longer."""
     x, y, z = (float(part) for part in vector)

@@ -207,7 +207,8 @@ def _decided(
     together = _together(judged, ranked, recent, staying, level)
     least = np.where(fine.scores > const.SURE_SCORE, const.LEAST_NATS, const.SURE_NATS)
     best, chosen = together.best(())
-    ready = all(_times_swept(objects[at]) >= const.SWEEPS_FIRST for at in missing)
+    never_seen = [at for at in missing if objects[at]["slots"]["tolerance"] is None]
+    ready = all(_times_swept(objects[at]) >= const.SWEEPS_FIRST for at in never_seen)
     found = {at: Sighting(NO_POSES) for at in recent if together.options[at] and at not in chosen and ready}
     for at in missing:
         row = chosen.get(at)

@@ -8,7 +8,7 @@ import numpy as np
 
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, is_behind, transform
 
 
 class Judged(NamedTuple):
@@ -112,7 +112,7 @@ def hidden_of(judged: Judged, rows: Sequence[int]) -> dict[tuple[int, int], floa
     whole = np.maximum(np.bincount(controls.owners, controls.visible, count), 1e-9)
     found: dict[tuple[int, int], float] = {}
     for other in rows:
-        behind = _is_behind(seen, judged.fine.poses[other], judged.boxes[other])
+        behind = is_behind(seen, judged.fine.poses[other], judged.boxes[other], const.LIES_M)
         said = np.bincount(controls.owners, behind * judged.lines, count)
         share = np.bincount(controls.owners, behind * controls.visible, count) / whole
         gain = -said - share * judged.beside
@@ -122,18 +122,6 @@ def hidden_of(judged: Judged, rows: Sequence[int]) -> dict[tuple[int, int], floa
             if judged.owners[row] != judged.owners[other] and share[row] > 0.0
         }
     return found
-
-
-def _is_behind(seen: Floats, pose: Floats, box: Floats) -> Array:
-    """(n,) whether a box hides points (n, 3), camera's frame: clearly nearer to the camera than they are."""
-    to_box = invert(pose)
-    eye, ends = to_box[:3, 3], transform(to_box, seen)
-    ways = ends - eye
-    ways = np.where(np.abs(ways) < 1e-9, 1e-9, ways)
-    sides = (box[:, None] - eye) / ways
-    enters, leaves = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
-    lengths = np.linalg.norm(ways, axis=1)
-    return np.asarray((enters < leaves) & (leaves > 0.0) & ((1.0 - enters) * lengths > const.LIES_M))
 
 
 def carriers_of(

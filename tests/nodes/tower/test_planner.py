@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import permutations
 from typing import Any
 
@@ -134,6 +134,30 @@ def test_a_plan_is_followed_while_what_it_moves_is_on_its_way() -> None:
     assert played.sees({**FLAT, 2: 1, 3: 2}) == ("done", None, TABLE)
 
 
+def test_nothing_is_planned_of_what_nobody_has_seen() -> None:
+    """Before the first cube is seen on something there are no doubts, either."""
+    for node in (Planner([1, 2, 3], 3), OpenLoop([1, 2, 3], 3)):
+        played = Played(node)
+        assert played.sees(dict.fromkeys(FLAT, UNSETTLED)) == ("look", None, TABLE)
+        assert played.sees({1: TABLE, 2: 1, 3: TABLE}) == ("planned", 3, 2)
+
+
+@pytest.mark.parametrize("node", [Planner, OpenLoop])
+@pytest.mark.parametrize("done", [False, True])
+def test_a_plan_for_other_towers_or_cubes_is_made_again(node: Callable[..., Builder], done: bool) -> None:
+    """Also of a builder that was done, and where its last step is under way."""
+    four = {**FLAT, 4: TABLE}
+    before = Played(node([1, 3], 4))
+    assert before.sees(four) == ("planned", 3, 1)
+    blocks = {**four, 3: 1} if done else four
+    if done:
+        assert before.sees(blocks, (3, 1), DONE)[0] == "done"
+    for tower, cubes, wanted in (([4, 3], 4, (3, 4)), ([1, 3, 5], 5, (5, 3) if done else (3, 1))):
+        after_it = Played(node(tower, cubes))
+        after_it.belief = before.belief
+        assert after_it.sees({**blocks, **({5: TABLE} if cubes == 5 else {})}) == ("planned", *wanted)
+
+
 def test_what_somebody_else_changes_is_planned_again() -> None:
     played = Played(Planner([1, 2, 3], 3))
     played.sees(FLAT)
@@ -172,6 +196,8 @@ def test_what_is_found_is_taken_though_it_leans() -> None:
 
 def test_of_what_cannot_be_nothing_is_planned() -> None:
     assert planned(((1, 2),), {1: 2, 2: 1}) is None
+    for free in ({1: 2, 2: 1, 3: TABLE}, {1: TABLE, 2: 1, 3: 1}):
+        assert planned((frozenset({1, 2, 3}),), free) is None, free
     played = Played(Planner([1, 2], 2))
     assert played.sees({1: 2, 2: 1}) == ("look", None, TABLE)
     assert played.sees({1: TABLE, 2: TABLE}) == ("planned", 2, 1)

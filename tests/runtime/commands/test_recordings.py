@@ -166,6 +166,10 @@ def test_a_recording_that_was_cut_off_is_used_and_said(folder: Path, capsys: Cap
         (["replay", "a.mcap", "--node", "lwo"], "a.mcap: there is no node 'lwo'; did you mean 'low'?"),
         (["replay", "a.mcap", "--from", "50"], "a.mcap: there is no epoch to replay from 50"),
         (["replay", "a.mcap", "--set", "gian=1"], "--set gian=1: there is no 'gian'; did you mean 'gain'?"),
+        (
+            ["replay", "a.mcap", "--node", "high", "--set", "gain=1"],
+            "--set gain=1: changes low alone; the other nodes do here what the recording says",
+        ),
         (["replay", "a.mcap", "--with", "low"], "--with low: expected NODE=package.module:Class"),
         (["replay", "a.mcap", "--with", "x=a:B"], "a.mcap: there is no node 'x'; the nodes are high, low, world"),
         (["diff", "a.mcap", "b.mcap"], "b.mcap: there is no such recording"),
