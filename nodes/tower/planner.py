@@ -2,7 +2,7 @@
 
 The encoding is that of a world of blocks: in each step one clear cube comes onto the table or onto a clear cube, or the
 arm looks for a cube of which nothing is known, which is then taken to stand on the table. What the hand holds is put
-somewhere first."""
+somewhere first. Of plans that are as short, one is followed that puts the fewest cubes onto others."""
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -53,7 +53,8 @@ covered(L, T) :- at(_, L, T), cube(L).
 beside(S, C) :- free(S, C), free(S, L), at(C, L, n).
 :- free(S, C), not at(C, table, n), not beside(S, C).
 :- free(S, C), at(D, C, n), not free(S, D).
-#minimize { n - T, T : look(_, T) }.
+#minimize { n - T@2, T : look(_, T) }.
+#minimize { 1@1, C, T : move(C, L, T), cube(L) }.
 #show move/3.  #show look/2.
 """
 

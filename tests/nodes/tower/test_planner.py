@@ -92,6 +92,12 @@ def test_a_plan_builds_the_tower_in_the_fewest_steps(number: int, height: int, f
     assert any(stands(blocks, order) for order in orders), (number, plan)
 
 
+def test_what_is_in_the_way_comes_onto_the_table_rather_than_onto_a_cube() -> None:
+    last = ((3, 1), (4, 3), (2, 4))
+    assert planned(((1, 3, 4, 2),), {3: TABLE, 1: TABLE, 4: 3, 2: 4}) == ((2, TABLE), (4, TABLE), *last)
+    assert planned(((1, 3, 4, 2),), {1: TABLE, 4: 1, 2: TABLE, 3: HAND}) == ((3, TABLE), (4, TABLE), *last)
+
+
 IDLE = {"skill": "look", "cube": None, "onto": None, "status": "doing", "looks": True}
 
 
