@@ -121,7 +121,8 @@ def _is_written(picture: Path, frames: list[Picture]) -> bool:
         return False
     frames = [*frames, *[np.full_like(frames[0], 255)] * (-len(frames) % COLUMNS)]
     rows = [np.hstack(frames[at : at + COLUMNS]) for at in range(0, len(frames), COLUMNS)]
-    return bool(cv2.imwrite(str(picture), np.vstack(rows), [cv2.IMWRITE_JPEG_QUALITY, 80]))
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 80] if picture.suffix == ".jpg" else []
+    return bool(cv2.imwrite(str(picture), np.vstack(rows), quality))
 
 
 if __name__ == "__main__":

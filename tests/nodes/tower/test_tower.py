@@ -126,5 +126,5 @@ def test_the_world_counts_what_the_hand_has_raised() -> None:
 
 
 def test_a_cube_that_is_not_there_is_refused() -> None:
-    with pytest.raises((ValueError, HieraxError)):
+    with pytest.raises((ValueError, HieraxError), match="there is no cube 3"):
         TowerWorld([3], cubes=2)
