@@ -115,6 +115,18 @@ def test_of_a_model_that_was_judged_before_more_edges_have_to_be_found(
     assert judged.fits.tolist() == [fits]
 
 
+@pytest.mark.parametrize(("tolerance", "swept", "believed"), [(None, 0, False), (None, 3, True), (0.0, 0, True)])
+def test_what_was_never_seen_is_looked_for_before_another_one_is_believed(
+    tolerance: float | None, swept: int, believed: bool
+) -> None:
+    """It may explain the same edges; what was seen before, and is lost again, keeps no others waiting."""
+    one = item(0, POSES[0], {**NOTHING, "tolerance": None}, status="lost", failed_searches=const.SWEEPS_FIRST)
+    other = item(1, POSES[1], {**NOTHING, "tolerance": tolerance}, status="lost", failed_searches=swept)
+    guesses: Any = {0: [imagined(POSES[0] @ NEAR)], 1: []}
+    found = look_for_missing(SEEN, [one, other], guesses, (), INTRINSICS, LEVEL)
+    assert (found[0].pose is not None) == believed
+
+
 def test_of_missing_cubes_of_one_colour_and_of_unknown_ones_none_is_found_at_once(known: list[Looks]) -> None:
     for looks in ([known[0], known[0]], [NOTHING, NOTHING]):
         found = sightings(looks)
