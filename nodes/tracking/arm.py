@@ -55,7 +55,6 @@ class ArmNode(Node):
         drift_m, drift_rad: of how far that course is from the camera's in the long run; None: nothing bounds it.
         sure_score: a match that scores less is also looked for farther away.
         kept_score: an image that scores a pose below this does not support it.
-        found_score: a lost object is found again at this score.
         patience: images that speak against an object, none of which supports it, until it is lost.
         prior: false: an image corrects poses as if nothing were known of them but where to look.
         model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; 0: models are
@@ -83,7 +82,6 @@ class ArmNode(Node):
         drift_rad: float | None = None,
         sure_score: float = const.SURE_SCORE,
         kept_score: float = const.KEPT_SCORE,
-        found_score: float = const.FOUND_SCORE,
         patience: int = const.PATIENCE,
         prior: bool = True,
         model_tolerance_mm: float | None = None,
@@ -93,8 +91,8 @@ class ArmNode(Node):
     ) -> None:
         check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
         check_positive(camera_m=camera_m, camera_rad=camera_rad)
-        if not 0.0 <= kept_score <= found_score <= 1.0:
-            raise ValueError(f"expected 0 <= kept_score <= found_score <= 1, got {kept_score} and {found_score}")
+        if not 0.0 <= kept_score <= const.FOUND_SCORE:
+            raise ValueError(f"kept_score is {kept_score}; expected 0 to {const.FOUND_SCORE}, at which a lost one is found")
         if patience < 1:
             raise ValueError(f"patience is {patience}; expected at least 1 image")
         start = diagonal_covariance(start_m, start_rad)
@@ -109,7 +107,6 @@ class ArmNode(Node):
         self._lasts = np.repeat([lasting(camera_m, drift_m), lasting(camera_rad, drift_rad)], 3)
         self._sizes = const.SAME_SIZE if tolerance == 0.0 else const.SIZES
         self._kept_score = kept_score
-        self._found_score = found_score
         self._patience = patience
         self._prior = prior
         self._waits = waits
@@ -293,7 +290,7 @@ class ArmNode(Node):
     def _judged(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate) -> schema.TrackedObject:
         """One object after the image: where it was found, or where it was expected."""
         gone = _is_vague(item) or item["status"] == schema.LOST
-        needed = self._found_score if gone else self._kept_score
+        needed = const.FOUND_SCORE if gone else self._kept_score
         enough = const.LEAST_FOUND if gone else const.LEAST_SHOWN
         doubtful = _speaks_against(estimate) or (gone and not estimate.sure)
         # Of an imprecise model edges may be missing: it is not by their share that one of them is there.
