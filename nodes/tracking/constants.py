@@ -197,10 +197,14 @@ JUDGED_EVERY = 15  # images until a model that does not do so well is judged aga
 
 FRESH, OLD, RIVALS = 6, 5, 8  # guesses of a sweep, and of those that were judged, that go up; objects chosen together
 SWEPT_AT_ONCE, SWEPT_EVERY, SWEPT_TOGETHER = 6, 3, 2  # as of what failed, of sweeps; so many in an image
+CHOICES = 50_000  # beginnings of choices of one pose for each object that are followed in one go
 COVERED_AFTER = 90  # sweeps without success, before a missing body is looked for on another missing one, too
+SEARCHED_WIDE_PX = 640  # images that are as many times as wide, or as many and a half, are searched as much smaller
 STEP_PX, YAWS, TEMPLATE_POINTS, BUDGET = 11, 24, 40, 150_000  # from place to place; turns; control points; poses
 MOST_FACES, HULL_CORNERS = 12, 40  # the lowest faces on which a body may rest; of its hull's corners
-SHRUNK, TEMPLATE_SHRUNK = 2, 2.0  # maps, and images that templates are drawn in, are smaller by this
+# Maps, and images that templates are drawn in, are smaller by this; these reach so far from their middle at least, in
+# focal lengths.
+SHRUNK, TEMPLATE_SHRUNK, TEMPLATE_HALF = 2, 2.0, 0.25
 ELEVATION_RAD, DISTANCE = np.radians(7.5), 1.15  # steps between the views that templates are made for
 EVERY, SECOND, CLOSER, GIVEN = 3, 8000, 600, 80  # control points that sweeps begin with; poses that go on from there
 TRY_PX, TRY_RAD = 5.0, 0.09  # steps of the closer look

@@ -20,6 +20,7 @@ from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, transform
 from hierax.nodes.tracking.model.controls import Controls, gathered
 from hierax.nodes.tracking.model.shapes import shape_of
+from hierax.nodes.tracking.model.symmetry import NONE
 from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, Body, ControlPoints, SpatialBelief
 
 
@@ -144,7 +145,9 @@ class SegmentedDepth:
                 renderer = self._renderer.renderer(item_of(body, camera))
                 proposer = self._proposers.get(body["id"])
                 if proposer is None or proposer.renderer is not renderer:
-                    proposer = self._proposers[body["id"]] = Proposer(renderer)
+                    proposer = self._proposers[body["id"]] = Proposer(renderer, body["model"].get("symmetry", NONE))
+                if not proposer.resting:  # it is no body: all its corners lie in a line
+                    continue
                 # One that nobody knows may carry it: in turns with the table, heights are tried that others reach.
                 heights = _heights(belief, body) if body["turn"] % 2 == 0 < body["turn"] else []
                 turn, count = body["turn"], len(proposer.resting)

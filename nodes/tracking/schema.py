@@ -361,6 +361,7 @@ class Body(TypedDict):
 class SpatialBelief(_Viewing):
     """What the spatial node believes; of the camera nothing before the first observation."""
 
+    images: int  # how many have been told of
     time_s: float | None  # of the last observation
     interval_s: float  # from the one before to it
     # ids of missing bodies that are looked for everywhere in the next image; None: none is ever missing

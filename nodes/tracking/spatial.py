@@ -90,6 +90,7 @@ class SpatialNode(Node):
             "intrinsics": None,
             "size": None,
             "frame": None,
+            "images": 0,
             "time_s": None,
             "interval_s": const.DEFAULT_INTERVAL_S,
             "sweeping": () if self._table else None,
@@ -111,6 +112,7 @@ class SpatialNode(Node):
         sensed: schema.SpatialBelief = {
             **belief,
             "bodies": bodies,
+            "images": belief["images"] + bool(cameras),
             "time_s": tick.time_s if observations else None,  # a gap is no interval
             "interval_s": belief["interval_s"] if interval_s is None else interval_s,
         }
@@ -303,7 +305,7 @@ def _swept_next(belief: schema.SpatialBelief) -> tuple[int, ...]:
         for body in belief["bodies"]
         if _is_swept(body, belief)
     )
-    now = (belief["frame"] or 0) % const.SWEPT_EVERY == 0
+    now = belief["images"] % const.SWEPT_EVERY == 0
     return tuple(number for turn, number in missing[: const.SWEPT_TOGETHER] if turn < const.SWEPT_AT_ONCE or now)
 
 

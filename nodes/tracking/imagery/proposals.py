@@ -17,15 +17,16 @@ from hierax.nodes.tracking.imagery.physics import support_points
 from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, looking_down, make_pose, rays, transform
 from hierax.nodes.tracking.model.shapes import Shape
-from hierax.nodes.tracking.schema import Alternative, Size
+from hierax.nodes.tracking.model.symmetry import NONE, alike
+from hierax.nodes.tracking.schema import Alternative, Size, Symmetry
 
 
 class Proposer:
     """Proposes poses of one body, by the renderer of its shape; the templates that it keeps are a cache."""
 
-    def __init__(self, renderer: LayerRenderer) -> None:
+    def __init__(self, renderer: LayerRenderer, symmetry: Symmetry = NONE) -> None:
         self.renderer = renderer
-        self.resting = resting_poses(renderer.shape)
+        self.resting = resting_poses(renderer.shape, symmetry)
         corners = outermost(renderer.shape.vertices)
         tops = {round(float(transform(pose, corners)[:, 2].max()), 4) for pose in self.resting}
         self.heights = sorted(tops)  # of the body where it rests, m
@@ -45,11 +46,11 @@ class Proposer:
         return self._templates[key]
 
     def _template(self, pose: Floats, view: Floats, intrinsics: Array) -> Alternative:
-        size = (
-            int(2.0 * intrinsics[2] / const.TEMPLATE_SHRUNK) + 1,
-            int(2.0 * intrinsics[3] / const.TEMPLATE_SHRUNK) + 1,
-        )
-        seen, lens = invert(view) @ pose, intrinsics / const.TEMPLATE_SHRUNK
+        # It is looked at in the middle, wherever the camera's own middle is.
+        half = np.maximum(intrinsics[2:], const.TEMPLATE_HALF * intrinsics[:2])
+        across, down = (int(2.0 * each / const.TEMPLATE_SHRUNK) + 1 for each in half)
+        size = (across, down)
+        seen, lens = invert(view) @ pose, np.concatenate((intrinsics[:2], half)) / const.TEMPLATE_SHRUNK
         renderer = self.renderer
         layer = None if renderer.shape.convex else renderer.layer(seen, lens, size)
         controls = controls_of(renderer.shape, seen, lens, size, layer)
@@ -58,9 +59,10 @@ class Proposer:
         return {"pose": pose, "controls": few.sent(few.visible.astype(np.float32)), "kept": False}
 
 
-def resting_poses(shape: Shape) -> list[Floats]:
+def resting_poses(shape: Shape, symmetry: Symmetry = NONE) -> list[Floats]:
     """Poses (place_from_object) of a body that stands at a place, turned about the vertical; those that look alike
     once."""
+    is_round = len(symmetry["free"]) > 0
     corners = outermost(shape.vertices)
     diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
     kept: list[Floats] = []
@@ -73,6 +75,9 @@ def resting_poses(shape: Shape) -> list[Floats]:
             pose = make_pose(exp_so3(np.array([0.0, 0.0, turn])), np.zeros(3)) @ standing
             placed = transform(pose, corners)
             apart = np.linalg.norm(seen[:, :, None] - placed[None, None], axis=-1).min(axis=1).max(axis=1)
+            if is_round and kept:  # the hull has corners where the body has none
+                turned = [transform(alike(symmetry, pose[None], other)[0], corners) for other in kept]
+                apart = np.linalg.norm(seen - np.stack(turned), axis=-1).max(axis=1)
             if (apart > const.SAME_POSE * diameter).all():
                 kept.append(pose)
                 seen = np.concatenate((seen, placed[None]))
@@ -86,7 +91,8 @@ def outermost(vertices: Floats) -> Floats:
 
 def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:
     """Unit vectors downwards, object's frame, at which a body rests on a face of its convex hull, the lowest first, by
-    the hull's corners (n, 3) and the centre of mass (3,)."""
+    the hull's corners (n, 3) and the centre of mass (3,). What is too thin to rest steadily, as a pencil, rests on those
+    faces on which it would not fall over; what would on each, on the lowest."""
     diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
     trios = corners[np.array(list(combinations(range(len(corners)), 3)))]
     normals = np.cross(trios[:, 1] - trios[:, 0], trios[:, 2] - trios[:, 0])
@@ -96,13 +102,17 @@ def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:
     heights = np.einsum("tk,nk->tn", normals, corners) - np.einsum("tk,tk->t", normals, trios[flat, 0])[:, None]
     below, above = heights.max(axis=1) < 0.5 * const.FLAT * diameter, heights.min(axis=1) > -0.5 * const.FLAT * diameter
     outward = np.concatenate((normals[below], -normals[above]))
-    faces: list[Floats] = []
-    for down in outward[np.argsort((outward @ corners.T).max(axis=1) - outward @ centre, kind="stable")]:
-        if any(float(down @ other) > 0.999 for other in faces) or len(faces) == const.MOST_FACES:
-            continue
-        if _steadiness(corners, centre, down, const.FLAT * diameter) > const.STEADY * diameter:
-            faces.append(down)
-    return faces
+    ordered = list(outward[np.argsort((outward @ corners.T).max(axis=1) - outward @ centre, kind="stable")])
+    for least in (const.STEADY * diameter, 0.0):
+        faces: list[Floats] = []
+        for down in ordered:
+            if any(float(down @ other) > 0.999 for other in faces) or len(faces) == const.MOST_FACES:
+                continue
+            if _steadiness(corners, centre, down, const.FLAT * diameter) > least:
+                faces.append(down)
+        if faces:
+            return faces
+    return ordered[:1]
 
 
 def places_on(

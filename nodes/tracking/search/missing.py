@@ -6,9 +6,10 @@ judged in nats. Of all missing objects those poses are chosen together that expl
 one place; one is believed when any other choice for its object explains the image clearly less well.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from hierax.nodes.tracking import constants as const
@@ -69,6 +70,9 @@ def look_for_missing(
         sweeps: of some that are missing; intrinsics: (4,) fx, fy, cx, cy in pixels.
         level: (4,) unit vector upwards, camera's frame, and how high the camera is above the table, m.
     """
+    image, intrinsics, thinned = _reduced(image, intrinsics)
+    objects = [{**item, "controls": thinned(item["controls"])} for item in objects]
+    missing = {at: [{**each, "controls": thinned(each["controls"])} for each in own] for at, own in missing.items()}
     recent = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["probation"]]
     shown = dict(missing)
     for at in recent:
@@ -93,6 +97,24 @@ def look_for_missing(
         fresh = _fresh(search, maps, objects, at, sweep)
         found[at] = known._replace(guesses=np.concatenate((known.guesses, fresh)))
     return found
+
+
+def _reduced(image: Image, intrinsics: Array) -> tuple[Image, Array, Callable[[ControlPoints], ControlPoints]]:
+    """The image as large as images are that the search is made for, or not much larger; with (fx, fy, cx, cy) of that,
+    and what thins control points out as much, which are as far apart in pixels in every image."""
+    times = round(image.shape[1] / const.SEARCHED_WIDE_PX)
+    if times <= 1:
+        return image, intrinsics, lambda controls: controls
+    size = image.shape[1] // times, image.shape[0] // times
+    small = cv2.resize(image[: size[1] * times, : size[0] * times], size, interpolation=cv2.INTER_AREA)
+    lens = intrinsics / times + np.array([0.0, 0.0, 1.0, 1.0]) * (0.5 / times - 0.5)
+
+    def thinned(controls: ControlPoints) -> ControlPoints:
+        fields: Any = {name: part[::times] for name, part in controls.items()}
+        found: ControlPoints = fields
+        return found
+
+    return small.reshape(*size[::-1], -1), lens, thinned
 
 
 class _Search(NamedTuple):
@@ -207,12 +229,12 @@ def _decided(
     together = _together(judged, ranked, recent, staying, level)
     least = np.where(fine.scores > const.SURE_SCORE, const.LEAST_NATS, const.SURE_NATS)
     best, chosen = together.best(())
-    never_seen = [at for at in missing if objects[at]["slots"]["tolerance"] is None]
-    ready = all(_times_swept(objects[at]) >= const.SWEEPS_FIRST for at in never_seen)
+    never_seen = [objects[at] for at in missing if objects[at]["slots"]["tolerance"] is None]
+    ready = all(item["failed_searches"] >= const.SWEEPS_FIRST for item in never_seen if item["status"] == LOST)
     found = {at: Sighting(NO_POSES) for at in recent if together.options[at] and at not in chosen and ready}
     for at in missing:
         row = chosen.get(at)
-        gained = 0.0 if row is None else together.gained(row, chosen.values())
+        gained = 0.0 if row is None else together.hidden.gain(row, chosen.values())
         sure = (
             row is not None
             and (ready or judged.known[row])
@@ -251,18 +273,13 @@ def _together(
     hidden = hidden_of(judged, [row for own in options.values() for row in own])
 
     def most(row: int) -> float:
-        gains = [max((hidden.get((row, other), 0.0) for other in own), default=0.0) for own in options.values()]
+        gains = [max((hidden.gain(row, (other,)) for other in own), default=0.0) for own in options.values()]
         return float(worth[row]) + sum(gain for gain in gains if gain > 0.0)
 
     options |= {at: [row for row in options[at] if most(row) > const.LEAST_NATS] for at in first}
     rows = [row for own in options.values() for row in own]
     carriers, conflicts = carriers_of(judged, rows, staying, level), conflicts_of(judged, rows, level)
     return Together(options, np.maximum(worth, 1.0), conflicts, carriers, len(ranked) + len(recent), hidden)
-
-
-def _times_swept(item: TrackedObject) -> int:
-    """How often an object was looked for everywhere: what is expected is from the second image on without support."""
-    return item["failed_searches"] if item["status"] == LOST else item["misses"] - 2
 
 
 def _is_again(pose: Floats, item: TrackedObject) -> bool:

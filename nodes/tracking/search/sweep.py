@@ -201,7 +201,8 @@ def _closer(maps: Maps, sweep: Sweep, sides: Sequence[_Sides], first: Proposed, 
     """Each pose where it is best, a little beside and turned; the best of those."""
     upright = sweep["places"][0, :3, 2]
     level = np.array([1.0, 0.0, 0.0]) - upright[0] * upright
-    level /= np.linalg.norm(level)
+    length = float(np.linalg.norm(level))
+    level = level / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])  # the camera lies on its side
     ahead = np.cross(upright, level)
     ahead /= max(float(np.hypot(*ahead[:2])), 0.3)  # seen at a slant, what lies ahead is shortened
     turns = np.stack([exp_so3(turn * upright) for turn in (0.0, -const.TRY_RAD, const.TRY_RAD)])

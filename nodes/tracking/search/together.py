@@ -28,6 +28,23 @@ class Judged(NamedTuple):
     fits: Array  # (n,) whether enough of its edges is found: of a model that was judged before, more
 
 
+class Hidden(NamedTuple):
+    """What other rows hide of each, and what those parts say."""
+
+    says: Mapping[int, Floats]  # of each row, nats: each of its control points, with its part of what lies beside edges
+    behind: Mapping[tuple[int, int], Array]  # by a row and one of another object: which of its points that hides
+
+    def gain(self, row: int, others: Collection[int]) -> float:
+        """Nats that a row gains where others hide parts of it: what those say, taken back once."""
+        parts = [self.behind[row, other] for other in others if (row, other) in self.behind]
+        return -float(self.says[row][np.logical_or.reduce(parts)].sum()) if parts else 0.0
+
+    def hope(self, row: int) -> float:
+        """Nats that a row gains at most, whichever others there are."""
+        parts = [part for (hidden, _), part in self.behind.items() if hidden == row]
+        return float(np.maximum(-self.says[row][np.logical_or.reduce(parts)], 0.0).sum()) if parts else 0.0
+
+
 class Together(NamedTuple):
     """Poses that several objects may have."""
 
@@ -36,34 +53,45 @@ class Together(NamedTuple):
     conflicts: set[tuple[int, int]]  # rows that cannot both be
     carriers: Mapping[int, set[int]]  # of each row that nothing carries which is known: those that would
     bodies: int  # how many may carry others
-    hidden: Mapping[tuple[int, int], float]  # nats that a row gains where another one hides part of it
-
-    def gained(self, row: int, chosen: Collection[int]) -> float:
-        """Nats that a row gains as those that are chosen, too, hide parts of it."""
-        return sum(self.hidden.get((row, other), 0.0) for other in chosen)
+    hidden: Hidden
 
     def best(self, without: Collection[int]) -> tuple[float, dict[int, int]]:
-        """The most that one choice for each object, or none, is worth, and that choice, some rows left out."""
-        partial: list[tuple[float, dict[int, int]]] = [(0.0, {})]
-        for at, rows in self.options.items():
-            partial += [
-                (value + float(self.worth[row]) + self._between(row, chosen.values()), {**chosen, at: row})
-                for value, chosen in partial
-                for row in rows
-                if row not in without and not any((row, other) in self.conflicts for other in chosen.values())
-            ]
-        carried = [(value - self._unlikely(chosen), chosen) for value, chosen in partial]
-        return max(carried, key=lambda each: each[0])
+        """The most that one choice for each object, or none, is worth, and that choice, some rows left out.
 
-    def _between(self, row: int, chosen: Collection[int]) -> float:
-        """Nats that a row and those that are chosen gain by one another."""
-        return self.gained(row, chosen) + sum(self.gained(other, (row,)) for other in chosen)
+        Choices are followed object by object, the likelier rows first, as long as what is left may be worth more than
+        the best one so far; `CHOICES` of them at most."""
+        hopes = {row: float(self.worth[row]) + self.hidden.hope(row) for rows in self.options.values() for row in rows}
+        columns = [
+            (at, sorted((row for row in rows if row not in without), key=lambda row: -hopes[row]))
+            for at, rows in self.options.items()
+        ]
+        left = [0.0]
+        for _, rows in reversed(columns):
+            left.append(left[-1] + max(0.0, *(hopes[row] for row in rows)) if rows else left[-1])
+        left.reverse()
+        best: tuple[float, dict[int, int]] = (0.0, {})
+        pending: list[tuple[int, float, dict[int, int]]] = [(0, 0.0, {})]
+        for _ in range(const.CHOICES):
+            if not pending:
+                break
+            number, hope, chosen = pending.pop()
+            if hope + left[number] <= best[0]:
+                continue
+            if number == len(columns):
+                best = max(best, (self._value(chosen), chosen), key=lambda each: each[0])
+                continue
+            at, rows = columns[number]
+            free = [row for row in rows if not any((row, other) in self.conflicts for other in chosen.values())]
+            pending.append((number + 1, hope, chosen))
+            pending += ((number + 1, hope + hopes[row], {**chosen, at: row}) for row in reversed(free))
+        return best
 
-    def _unlikely(self, chosen: Mapping[int, int]) -> float:
-        """Nats: of what floats, one that is not placed may carry each."""
+    def _value(self, chosen: Mapping[int, int]) -> float:
+        """Nats that a choice is worth: of what floats, one that is not placed may carry each."""
         rows = chosen.values()
+        said = sum(float(self.worth[row]) + self.hidden.gain(row, rows) for row in rows)
         floating = sum(row in self.carriers and self.carriers[row].isdisjoint(rows) for row in rows)
-        return const.FLOATS * floating + const.FALLS * max(0, floating - (self.bodies - len(rows)))
+        return said - const.FLOATS * floating - const.FALLS * max(0, floating - (self.bodies - len(rows)))
 
 
 def look_alike(judged: Judged, row: int, rows: Sequence[int]) -> list[int]:
@@ -103,25 +131,23 @@ def conflicts_of(judged: Judged, rows: Sequence[int], level: Floats) -> set[tupl
     }
 
 
-def hidden_of(judged: Judged, rows: Sequence[int]) -> dict[tuple[int, int], float]:
-    """By a row and one of another object that hides part of it: what the hidden part says, taken back, nats."""
+def hidden_of(judged: Judged, rows: Sequence[int]) -> Hidden:
+    """What each row of those hides of rows of other objects."""
     controls = judged.fine.stage.controls
     seen = np.einsum("nij,nj->ni", judged.fine.poses[controls.owners][:, :3, :3], controls.points)
     seen += judged.fine.poses[controls.owners][:, :3, 3]
-    count = len(judged.owners)
-    whole = np.maximum(np.bincount(controls.owners, controls.visible, count), 1e-9)
-    found: dict[tuple[int, int], float] = {}
+    whole = np.maximum(np.bincount(controls.owners, controls.visible, len(judged.owners)), 1e-9)
+    says = judged.lines + controls.visible / whole[controls.owners] * judged.beside[controls.owners]
+    own = {row: controls.owners == row for row in rows}
+    behind: dict[tuple[int, int], Array] = {}
     for other in rows:
-        behind = is_behind(seen, judged.fine.poses[other], judged.boxes[other], const.LIES_M)
-        said = np.bincount(controls.owners, behind * judged.lines, count)
-        share = np.bincount(controls.owners, behind * controls.visible, count) / whole
-        gain = -said - share * judged.beside
-        found |= {
-            (row, other): float(gain[row])
+        hidden = is_behind(seen, judged.fine.poses[other], judged.boxes[other], const.LIES_M) & (controls.visible > 0.0)
+        behind |= {
+            (row, other): hidden[own[row]]
             for row in rows
-            if judged.owners[row] != judged.owners[other] and share[row] > 0.0
+            if judged.owners[row] != judged.owners[other] and hidden[own[row]].any()
         }
-    return found
+    return Hidden({row: says[own[row]] for row in rows}, behind)
 
 
 def carriers_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from trimesh.creation import cylinder, icosphere
 
 from hierax.nodes.tracking.constants import BUDGET, YAWS
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
@@ -17,9 +18,10 @@ from hierax.nodes.tracking.imagery.proposals import (
     stable_faces,
     top_of,
 )
-from hierax.nodes.tracking.math.geometry import invert, looking_down, project, transform
-from hierax.nodes.tracking.model.mesh import box_mesh
+from hierax.nodes.tracking.math.geometry import Floats, invert, looking_down, project, transform
+from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of
+from hierax.nodes.tracking.model.symmetry import found_symmetry
 
 CAMERA = looking_down(0.3, np.radians(40.0), 0.6, np.zeros(3))
 INTRINSICS, SIZE = np.array([300.0, 300.0, 159.5, 119.5]), (320, 240)
@@ -53,6 +55,43 @@ def test_a_body_does_not_rest_where_its_centre_is_beside_its_foot() -> None:
     leaning = corners + np.array([0.04, 0.0, 0.0]) * (corners[:, 2:] > 0.0)
     for down in stable_faces(leaning, leaning.mean(axis=0)):
         assert abs(down[2]) < 0.9
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        box_mesh((0.006, 0.006, 0.18)).vertices,
+        np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0]]),
+        np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.001, 0.0, 0.05], [0.0, 0.001, 0.05]]),
+    ],
+)
+def test_what_is_too_thin_to_rest_steadily_is_imagined_to_rest_all_the_same(corners: Floats) -> None:
+    down = stable_faces(corners, 0.5 * (corners.min(axis=0) + corners.max(axis=0)))
+    assert down
+    lies = np.array([np.ptp(corners @ each) for each in down])
+    assert lies.min() < 0.01, "it lies, rather than that it stands on its end"
+
+
+def test_what_is_round_is_proposed_once() -> None:
+    ball, can = icosphere(radius=0.03, subdivisions=3), cylinder(0.02, 0.08, sections=48)
+    for solid, most in ((ball, YAWS // 2), (can, YAWS)):
+        mesh = Mesh(np.asarray(solid.vertices), np.asarray(solid.faces, dtype=np.int32))
+        shape = shape_of(mesh.vertices, mesh.faces)
+        symmetry = found_symmetry(mesh)
+        assert len(symmetry["free"])
+        assert len(resting_poses(shape, symmetry)) < most < len(resting_poses(shape))
+
+
+def test_a_template_is_whole_wherever_the_camera_s_middle_is() -> None:
+    """An image may be a part of a larger one, and the middle of the lens beside it."""
+    mesh = box_mesh((0.04, 0.06, 0.09))
+    shape = shape_of(mesh.vertices, mesh.faces)
+    there, beside = (
+        Proposer(LayerRenderer(shape)).templates(CAMERA, np.zeros(3), lens)
+        for lens in (INTRINSICS, INTRINSICS - np.array([0.0, 0.0, 190.0, 0.0]))
+    )
+    for one, other in zip(there, beside, strict=True):
+        assert len(other["controls"]["points"]) == len(one["controls"]["points"])
 
 
 def test_places_are_what_the_camera_sees_of_a_plane() -> None:
