@@ -29,6 +29,7 @@ from hierax.nodes.tracking.estimation.tracked import (
     tracked_metrics,
 )
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert, log_se3
+from hierax.nodes.tracking.model.symmetry import NONE, open_to
 from hierax.nodes.tracking.search.association import Associated, Estimate, Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
 from hierax.nodes.tracking.search.multistart import held, in_turn
@@ -92,7 +93,9 @@ class ArmNode(Node):
         check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
         check_positive(camera_m=camera_m, camera_rad=camera_rad)
         if not 0.0 <= kept_score <= const.FOUND_SCORE:
-            raise ValueError(f"kept_score is {kept_score}; expected 0 to {const.FOUND_SCORE}, at which a lost one is found")
+            raise ValueError(
+                f"kept_score is {kept_score}; expected 0 to {const.FOUND_SCORE}, at which a lost one is found"
+            )
         if patience < 1:
             raise ValueError(f"patience is {patience}; expected at least 1 image")
         start = diagonal_covariance(start_m, start_rad)
@@ -373,6 +376,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
     if lead < const.CONFIRMED * const.CLEAR_NATS and not sighting.known:
         looked = max(item["failed_searches"], const.SWEEPS_FIRST)
         return {**_missing(item), "guesses": likely, "lead": lead, "failed_searches": looked}
+    symmetry = item.get("symmetry", NONE)
     return {
         **item,
         "slots": only_found(item["slots"]),
@@ -381,7 +385,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         "covariance": sighting.covariance,
         "score": sighting.score,
         "nats": sighting.nats,
-        "probability": float(right(sighting.covariance[None], np.array([sighting.nats]))[0]),
+        "probability": float(right(sighting.covariance[None], np.array([sighting.nats]), [symmetry])[0]),
         "motion_scale": 1.0,
         "trend": np.zeros(6),
         "status": schema.TRACKED,
@@ -468,6 +472,9 @@ def _failed_searches(item: schema.TrackedObject, estimate: Estimate) -> int:
 
 def _is_vague(item: schema.TrackedObject) -> bool:
     covariance = item["covariance"]
+    if "symmetry" in item and len(item["symmetry"]["free"]):
+        told = open_to(item["symmetry"])
+        covariance = told @ covariance @ told
     turned = float(np.trace(covariance[3:, 3:])) > const.VAGUE_RAD**2
     return turned or float(np.trace(covariance[:3, :3])) > const.VAGUE_M**2
 

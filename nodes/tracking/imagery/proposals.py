@@ -91,8 +91,8 @@ def outermost(vertices: Floats) -> Floats:
 
 def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:
     """Unit vectors downwards, object's frame, at which a body rests on a face of its convex hull, the lowest first, by
-    the hull's corners (n, 3) and the centre of mass (3,). What is too thin to rest steadily, as a pencil, rests on those
-    faces on which it would not fall over; what would on each, on the lowest."""
+    the hull's corners (n, 3) and the centre of mass (3,). What is too thin to rest steadily, as a pencil, rests on
+    those faces on which it would not fall over; what would on each, on the lowest."""
     diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
     trios = corners[np.array(list(combinations(range(len(corners)), 3)))]
     normals = np.cross(trios[:, 1] - trios[:, 0], trios[:, 2] - trios[:, 0])

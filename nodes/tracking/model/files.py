@@ -153,4 +153,8 @@ def _checked(path: Path, vertices: Floats, faces: NDArray[np.int32]) -> Mesh:
     has_area = areas > _LEAST_AREA * extent**2
     if not has_area.any():
         raise DataError(f"{path}: no face has an area; expected a mesh of triangles")
-    return Mesh(vertices, faces if has_area.all() else faces[has_area])
+    used, numbers = np.unique(faces[has_area], return_inverse=True)
+    if len(used) == len(vertices) and has_area.all():
+        return Mesh(vertices, faces)
+    # What no face uses is no part of the body: it rests on nothing, and weighs nothing.
+    return Mesh(vertices[used], numbers.reshape(-1, 3).astype(np.int32))

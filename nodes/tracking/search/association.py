@@ -31,7 +31,7 @@ from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS
-from hierax.nodes.tracking.model.symmetry import alike, kept_free, moved_along
+from hierax.nodes.tracking.model.symmetry import NONE, alike, kept_free, moved_along
 from hierax.nodes.tracking.schema import Looks, Together, TrackedObject
 from hierax.nodes.tracking.search.imprecision import explained_with, looks_after, models_judged
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
@@ -131,7 +131,7 @@ def associate(
     learned = _learned(best, found, task, objects, doubtful, judged, kept)
     counts = [max(0, item["failed_searches"] + (1 if at in doubtful else -1)) for at, item in enumerate(objects)]
     failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(counts)]
-    estimates = _estimates(found, learned, failed_searches)
+    estimates = _estimates(found, objects, learned, failed_searches)
     together = together_of(objects, kept, best.fused.joint)
     return Associated(shift, best.fused.drift, estimates, together, best.fused.older)
 
@@ -261,8 +261,10 @@ def _learned(
     return learned
 
 
-def _estimates(found: Found, learned: list[Looks], failed_searches: list[int]) -> list[Estimate]:
-    probability = right(found.covariance, found.nats)
+def _estimates(
+    found: Found, objects: Sequence[TrackedObject], learned: list[Looks], failed_searches: list[int]
+) -> list[Estimate]:
+    probability = right(found.covariance, found.nats, [item.get("symmetry", NONE) for item in objects])
     return [
         Estimate(
             found.poses[at],

@@ -105,16 +105,17 @@ def _reduced(image: Image, intrinsics: Array) -> tuple[Image, Array, Callable[[C
     times = round(image.shape[1] / const.SEARCHED_WIDE_PX)
     if times <= 1:
         return image, intrinsics, lambda controls: controls
-    size = image.shape[1] // times, image.shape[0] // times
-    small = cv2.resize(image[: size[1] * times, : size[0] * times], size, interpolation=cv2.INTER_AREA)
+    wide, high = image.shape[1] // times, image.shape[0] // times
+    small = cv2.resize(image[: high * times, : wide * times], (wide, high), interpolation=cv2.INTER_AREA)
     lens = intrinsics / times + np.array([0.0, 0.0, 1.0, 1.0]) * (0.5 / times - 0.5)
 
     def thinned(controls: ControlPoints) -> ControlPoints:
-        fields: Any = {name: part[::times] for name, part in controls.items()}
+        parts: dict[str, Any] = {**controls}
+        fields: Any = {name: part[::times] for name, part in parts.items()}
         found: ControlPoints = fields
         return found
 
-    return small.reshape(*size[::-1], -1), lens, thinned
+    return np.asarray(small, np.float32).reshape(high, wide, -1), lens, thinned
 
 
 class _Search(NamedTuple):

@@ -61,13 +61,14 @@ def scene(tmp_path: Path) -> Path:
 
 def test_a_model_may_be_in_another_format(scene: Path) -> None:
     models = scene.parent.parent / "models"
-    corners = BopScene(scene).model(5)[0].vertices
+    corners, faces = BopScene(scene).model(5)[0]
     (models / "obj_000005.ply").unlink()
     with pytest.raises(DataError, match=r"obj_000005\.ply: no such file"):
         BopScene(scene).model(5)
-    lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in 1000.0 * corners] + ["f 1 2 3", "f 3 2 4"]
+    lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in 1000.0 * corners] + ["v 500 0 0"]
+    lines += ["f {} {} {}".format(*(face + 1)) for face in faces]
     (models / "obj_000005.obj").write_text("\n".join(lines))
-    assert np.allclose(BopScene(scene).model(5)[0].vertices, corners)
+    assert np.allclose(BopScene(scene).model(5)[0].vertices, corners), "no face uses the last one"
 
 
 @pytest.mark.parametrize("suffix", ["ply", "obj"])

@@ -9,6 +9,7 @@ import pytest
 
 from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.evaluation.calibration import calibration, main
+from hierax.nodes.tracking.model.symmetry import NONE, symmetry_of
 
 COVARIANCE = np.diag([0.001**2] * 3 + [0.01**2] * 3)
 
@@ -66,8 +67,22 @@ def test_files_that_say_nothing_of_certainty_are_one_line(tmp_path: Path, capsys
 
 def test_certainty_falls_with_spread_and_with_what_speaks_for_clutter() -> None:
     wide = np.diag([0.005**2] * 3 + [0.01**2] * 3)
-    sure, loose, clutter = right(np.stack((COVARIANCE, wide, COVARIANCE)), np.array([20.0, 20.0, 0.0]))
+    covariances, nats = np.stack((COVARIANCE, wide, COVARIANCE)), np.array([20.0, 20.0, 0.0])
+    sure, loose, clutter = right(covariances, nats, [NONE] * 3)
     assert sure == pytest.approx(1.0, abs=0.01)
     assert clutter == pytest.approx(0.5, abs=0.01)
     # the distance of three normal errors of 5 mm is below 5 mm in 19.9 % of all cases (chi distribution)
     assert loose == pytest.approx(0.199, abs=0.05)
+
+
+def test_how_far_something_round_is_turned_takes_nothing_from_its_certainty() -> None:
+    bottle = symmetry_of([], [(np.array([0.0, 0.0, 1.0]), np.zeros(3))])
+    ball = symmetry_of([], [(np.eye(3)[axis], np.zeros(3)) for axis in (0, 2)])
+    turned = COVARIANCE.copy()
+    turned[5, 5] = 0.5**2
+    anyhow = COVARIANCE + np.diag([0.0] * 3 + [0.5**2] * 3)
+    said = right(np.stack((turned, turned, anyhow, anyhow)), np.full(4, 20.0), [NONE, bottle, bottle, ball])
+    assert said[0] < 0.3
+    assert said[1] > 0.95
+    assert said[2] < 0.1, "a bottle that may lie or stand is not sure"
+    assert said[3] > 0.95
