@@ -9,7 +9,7 @@ import numpy as np
 from hierax.nodes.benchmarks.tracking import CONTEXT, SEARCH, Scene, Tell, Tracked, track
 from hierax.nodes.tracking.evaluation.scoring import RIGHT, ObjectErrors, frames_until, is_astray
 
-FRAME = 30  # at which poses are judged
+FRAME = 30  # at which poses are judged; of a scene that ends before it, the last one
 SEEN = 0.6  # of objects that are seen by this share at least
 
 
@@ -46,7 +46,7 @@ def _object_ms(tracked: Tracked) -> float:
 
 
 def _starts(name: str, errors: Sequence[ObjectErrors], object_ms: float) -> Starts:
-    at = [(item, min(FRAME, len(item.frames) - 1)) for item in errors]
+    at = [(item, min(int(np.searchsorted(item.frames, FRAME)), len(item.frames) - 1)) for item in errors]
     seen = [(item, frame) for item, frame in at if item.visible[frame] >= SEEN]
     right = sum(bool(item.within(RIGHT)[frame]) for item, frame in seen)
     distance = np.array([item.distance_mm[frame] for item, frame in at])

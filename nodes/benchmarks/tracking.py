@@ -14,7 +14,7 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.evaluation.calibration import Calibration, calibration, judge
+from hierax.nodes.tracking.evaluation.calibration import Calibration, calibration, is_told, judge
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
 from hierax.nodes.tracking.generator.kinds import CROWD, CROWDED, IMPRECISE, KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
@@ -177,10 +177,10 @@ def bench_tracking(
 
 
 def certainty(scenes: Sequence[Scene], ways: Sequence[str], folder: Path) -> Calibration | None:
-    """How true is what the arm said of its certainty, with all; None where that was not tracked. Where a model lies in
-    its object cannot be said when it is imprecise: such scenes say nothing of it."""
+    """How true is what the arm said of its certainty, with all; None where that was not tracked, or it said nothing.
+    Where a model lies in its object cannot be said when it is imprecise: such scenes say nothing of it."""
     files = [folder / f"{_stem(scene, CONTEXT)}.beliefs.npz" for scene in scenes if scene.name != IMPRECISE]
-    return calibration(files) if files and CONTEXT in ways else None
+    return calibration(files) if files and CONTEXT in ways and all(map(is_told, files)) else None
 
 
 def gains(rows: Sequence[Row]) -> list[Gain]:
@@ -232,7 +232,13 @@ def track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Trac
     truth = read_truth(scene.truth, posed=SEARCH not in settings)
     stage_ms = _stages_ms(_telling(read_deployment(DEPLOYMENT, changes), beliefs))
     judge(beliefs, truth)
-    return Tracked(object_errors(read_results(poses), truth, scene.name == IMPRECISE), stage_ms)
+    results = read_results(poses)
+    frames = {result.im_id for result in results}
+    if len(truth) == 1 < len(frames):
+        raise HieraxError(
+            f"{scene.truth}: has true poses of one frame; expected them of all {len(frames)} (--truth DIR)"
+        )
+    return Tracked(object_errors(results, truth, scene.name == IMPRECISE), stage_ms)
 
 
 def _stem(scene: Scene, way: str) -> str:

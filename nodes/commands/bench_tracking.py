@@ -107,8 +107,9 @@ def _bench_starts(scenes: "Sequence[Scene]", settings: Sequence[str], folder: Pa
         rows.append((each.name, *map(str, counts), _after(each.gone), _after(each.found)))
     print_table({"scene": {}, **dict.fromkeys(heads, RIGHT)}, rows)
     print(
-        "Objects in frame 30: seen by 0.6 of them or more, and right within 5 mm and 5°; poses given, and wrong by\n"
-        "more than 20 mm or 10°. After how many frames, in the mean, what was taken out is gone, what was put in right."
+        "Objects in frame 30, or the last: seen by 0.6 of them or more, right within 5 mm and 5°; poses given, and\n"
+        "wrong by more than 20 mm or 10°. After how many frames, in the mean, what was taken out is gone, and what\n"
+        "was put in is right."
     )
     return 0
 
@@ -126,11 +127,13 @@ def _names(text: str, separator: str) -> list[str]:
 
 def _given(scene: Path, truth: Path | None, table: bool) -> "Scene":
     from hierax.nodes.benchmarks.tracking import Scene
+    from hierax.nodes.tracking.datasets.bop import dataset_of
 
     if not scene.is_dir():
         raise HieraxError(f"{scene}: no such folder; expected a BOP scene, DATASET/SPLIT/000001")
-    apart = scene.parent.parent / "truth" / scene.name
-    return Scene(scene.name, 0, scene, truth or (apart if apart.is_dir() else scene), table)
+    name = scene.absolute().name
+    apart = dataset_of(scene) / "truth" / name
+    return Scene(name, 0, scene, truth or (apart if apart.is_dir() else scene), table)
 
 
 def _print_rows(rows: "Sequence[Row]") -> None:

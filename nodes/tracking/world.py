@@ -22,7 +22,7 @@ from hierax.nodes.tracking.datasets.objects import WORLD, read_objects
 from hierax.nodes.tracking.datasets.tag import FAMILY, locate, tag_camera, tag_of
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
-from hierax.nodes.tracking.model.symmetry import NONE, model_of
+from hierax.nodes.tracking.model.symmetry import NONE, found_symmetry, model_of
 from hierax.nodes.tracking.paper.arm import PaperArmNode
 from hierax.nodes.tracking.schema import FirstBody, FirstPose, Picture, SceneBelief, SimBelief, Symmetry
 from hierax.nodes.tracking.simworld.world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
@@ -204,4 +204,6 @@ def _models(
     if scene is not None:
         folder = BopScene(scene)
         return [folder.model(item["obj_id"], item["pose"] is not None) for item in first]
-    return [(box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3), NONE) for item in first]  # to be told by first poses
+    meshes = [box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3) for item in first]
+    told = [item["pose"] is not None for item in first]  # how a cube lies is told by its first pose alone
+    return [(mesh, NONE if each else found_symmetry(mesh)) for mesh, each in zip(meshes, told, strict=True)]

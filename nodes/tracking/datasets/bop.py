@@ -111,7 +111,7 @@ class BopScene:
     @property
     def models(self) -> Path:
         """The folder of the models."""
-        return self.folder.parent.parent / "models"
+        return dataset_of(self.folder) / "models"
 
     def _read_frames(self) -> tuple[Frame, ...]:
         path = self.folder / "scene_camera.json"
@@ -137,8 +137,14 @@ class BopScene:
 
 def scene_number(folder: str | Path | None) -> int:
     """A BOP scene's number: its folder's name, where that is one; else 0."""
-    name = Path(folder or "").name
+    name = Path(os.path.abspath(folder)).name if folder else ""
     return int(name) if name.isdecimal() else 0
+
+
+def dataset_of(scene: Path) -> Path:
+    """The folder of a scene's dataset, two above it, however that is named, as ``.`` and ``..``."""
+    is_plain = len(scene.parts) > 2 and ".." not in scene.parts
+    return (scene if is_plain else Path(os.path.abspath(scene))).parent.parent
 
 
 def read_model(folder: Path, obj_id: int, posed: bool = True) -> tuple[Mesh, Symmetry]:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hierax.nodes.sources.files import DataError, read_numbers
-from hierax.nodes.tracking.datasets.bop import read_model
+from hierax.nodes.tracking.datasets.bop import dataset_of, read_model
 from hierax.nodes.tracking.datasets.bop_json import read_json, read_obj_id, read_pose
 from hierax.nodes.tracking.imagery.physics import support_points
 from hierax.nodes.tracking.math.geometry import Floats
@@ -46,7 +46,7 @@ def read_truth(folder: Path, posed: bool = True) -> dict[int, list[TruePose]]:
     if not entries:
         raise DataError(f"{path}: no frames")
     frames = {int(key): _frame(folder, key, entries[key], infos.get(key)) for key in sorted(entries, key=int)}
-    models = folder.parent.parent / "models"
+    models = dataset_of(folder) / "models"
     if not (models / "models_info.json").is_file():
         return frames
     numbers = {pose.obj_id for poses in frames.values() for pose in poses}

@@ -21,8 +21,10 @@ from hierax.nodes.sources.files import DataError, writing
 from hierax.nodes.tracking.datasets.truth import TruePose
 from hierax.nodes.tracking.errors import printed
 from hierax.nodes.tracking.evaluation.scoring import LEAST_VISIBLE, RIGHT, is_astray, nearest_off
-from hierax.nodes.tracking.math.geometry import Array, Floats, log_se3, pose_error
-from hierax.nodes.tracking.schema import TRACKED
+from hierax.nodes.tracking.math.batched import adjoints
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, log_se3, pose_error
+from hierax.nodes.tracking.model.symmetry import NONE, open_to, turns_back
+from hierax.nodes.tracking.schema import TRACKED, Symmetry
 from hierax.runtime import Probe, Step
 from hierax.runtime.execution.report import Json
 
@@ -65,7 +67,9 @@ class Beliefs(Probe):
 def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
     """Add the truth to a file of `Beliefs`, to those of its entries that are of an object that the truth knows:
     ``visible`` (share, 0 to 1), ``distance_mm``, ``angle_deg`` and ``twist``, the ξ with which ``pose @ exp_se3(ξ)`` is
-    the truth, in metres and radians: what ``covariance`` is of. Raises DataError: the file cannot be written."""
+    the truth, or looks like it, in metres and radians: what ``covariance`` is of; and, where there is one, ``nees``,
+    its square normalised by that, for each of the degrees of freedom that images tell of. Raises DataError: the file
+    cannot be written."""
     true = {(frame, pose.obj_id): pose for frame, poses in truth.items() for pose in poses}
     with np.load(file) as archive:
         columns = dict(archive)
@@ -74,14 +78,37 @@ def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
     columns = {name: column[known] for name, column in columns.items()}
     pairs = [(pose, true[key]) for pose, key in zip(columns["pose"], (key for key in keys if key in true), strict=True)]
     off = [nearest_off(right, given) for given, right in pairs]
+    twists = [_twist(right, given) for given, right in pairs]
     errors = np.array([pose_error(each, np.eye(4)) for each in off]).reshape(-1, 2)
     added = {
         "visible": np.array([right.visible for _, right in pairs]),
         "distance_mm": 1000.0 * errors[:, 0],
         "angle_deg": np.degrees(errors[:, 1]),
-        "twist": np.array([-log_se3(each) for each in off]).reshape(-1, 6),
+        "twist": np.array(twists).reshape(-1, 6),
     }
+    if "covariance" in columns:
+        every = zip(twists, columns["covariance"], pairs, strict=True)
+        added["nees"] = np.array([_nees(twist, covariance, right) for twist, covariance, (_, right) in every])
     _write(file, {**columns, **added})
+
+
+def _twist(true: TruePose, given: Floats) -> Floats:
+    """The ξ with which ``given @ exp_se3(ξ)`` looks like the true pose, the nearest of those that do."""
+    turn = turns_back(_symmetry(true), given, true.pose)[0]
+    return np.asarray(adjoints(turn[None])[0] @ -log_se3(invert(true.pose) @ given @ turn))
+
+
+def _nees(twist: Floats, covariance: Floats, true: TruePose) -> float:
+    """A twist's square normalised by its covariance, in the mean of the degrees of freedom that images tell of."""
+    values, axes = np.linalg.eigh(open_to(_symmetry(true)))
+    told = axes[:, values > 0.5]
+    inside = told.T @ twist
+    square: float = inside @ np.linalg.solve(told.T @ covariance @ told, inside)
+    return square / len(inside)
+
+
+def _symmetry(true: TruePose) -> Symmetry:
+    return NONE if true.likeness is None else true.likeness.symmetry
 
 
 def _write(path: Path, columns: Mapping[str, object]) -> None:
@@ -107,7 +134,8 @@ class Calibration(NamedTuple):
     bins: tuple[Bin, ...]  # by probability, those that hold something
     sure: float  # of those said to be right with at least 0.9, the share that is right
     anees: float  # their squared error, normalised by the covariance, per degree of freedom; 1 where that is true
-    astray: float  # share that is off by more than 20 mm or 10°
+    anees_all: float  # the same of all poses
+    astray: float  # share that is off by more than 20 mm or 10°; also of objects of which less is seen, or nothing
 
     @property
     def error(self) -> float:
@@ -116,14 +144,21 @@ class Calibration(NamedTuple):
 
     def plain(self) -> dict[str, Json]:
         """All of it as plain JSON."""
-        known = {"error": self.error, "sure": self.sure, "anees": self.anees, "astray": self.astray}
+        known = {
+            "error": self.error,
+            "sure": self.sure,
+            "anees": self.anees,
+            "anees_all": self.anees_all,
+            "astray": self.astray,
+        }
         figures: dict[str, Json] = {name: None if np.isnan(value) else value for name, value in known.items()}
         return {"poses": self.poses, **figures, "bins": [each._asdict() for each in self.bins]}
 
     def text(self) -> str:
         """All of it, for people."""
         rows = [f"  said {each.said:.2f}, right {each.right:.2f} ({each.poses} poses)" for each in self.bins]
-        sure = f"of those said {SURE} or more {100 * self.sure:.1f} % right, ANEES {self.anees:.2f}"
+        anees = f"ANEES {self.anees:.2f} (of all {self.anees_all:.2f})"
+        sure = f"of those said {SURE} or more {100 * self.sure:.1f} % right, {anees}"
         first = f"expected calibration error {self.error:.3f}; {sure}; astray {100 * self.astray:.2f} %"
         return "\n".join((first, *rows))
 
@@ -155,7 +190,7 @@ class Calibration(NamedTuple):
 
 
 def calibration(files: Sequence[Path]) -> Calibration | None:
-    """How true is what was said in files that `judge` has added the truth to; None where nothing was tracked.
+    """How true is what was said in files that `judge` has added the truth to; None where nothing that is seen was.
     Raises DataError: a file cannot be read, or says nothing of probabilities, or nobody has added the truth."""
     columns = [_read(file) for file in files]
     probability, right, square, astray = (np.concatenate(each) for each in zip(*columns, strict=True))
@@ -166,25 +201,31 @@ def calibration(files: Sequence[Path]) -> Calibration | None:
     bins = tuple(Bin(len(at), float(probability[at].mean()), float(right[at].mean())) for at in found if len(at))
     sure = probability >= SURE
     share, anees = (float(each[sure].mean()) if sure.any() else float("nan") for each in (right, square))
-    return Calibration(len(probability), bins, share, anees, float(astray.mean()))
+    return Calibration(len(probability), bins, share, anees, float(square.mean()), float(astray.mean()))
+
+
+def is_told(file: Path) -> bool:
+    """Whether beliefs say how probable they are; those of `method=paper` do not."""
+    with np.load(file) as archive:
+        return "probability" in archive.files
 
 
 def _read(file: Path) -> tuple[Floats, Array, Floats, Array]:
-    """Of a file's tracked poses: probability, whether right, normalised squared error, whether astray."""
+    """Of a file's tracked poses of what is seen: probability, whether right, normalised squared error; and of all
+    tracked ones whether astray."""
     try:
         with np.load(file) as archive:
             known = {name: archive[name] for name in archive.files}
-        counted = (known["status"] == TRACKED) & (known["visible"] >= LEAST_VISIBLE)
-        probability, millimetres, degrees, twists, covariances = (
-            known[name][counted] for name in ("probability", "distance_mm", "angle_deg", "twist", "covariance")
+        tracked = known["status"] == TRACKED
+        probability, millimetres, degrees, squares, visible = (
+            known[name][tracked] for name in ("probability", "distance_mm", "angle_deg", "nees", "visible")
         )
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise DataError(f"{file}: cannot be read: {error}; expected beliefs of the arm") from error
     except KeyError as error:
         raise DataError(f"{file}: {error.args[0]}; expected beliefs with probabilities, beside the truth") from error
-    right = (millimetres < RIGHT[0]) & (degrees < RIGHT[1])
-    squares = np.einsum("ni,ni->n", twists, np.linalg.solve(covariances, twists[..., None])[..., 0]) / 6.0
-    return probability, right, squares, is_astray(millimetres, degrees)
+    right, seen = (millimetres < RIGHT[0]) & (degrees < RIGHT[1]), visible >= LEAST_VISIBLE
+    return probability[seen], right[seen], squares[seen], is_astray(millimetres, degrees)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,11 +15,13 @@ import numpy as np
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import write_picture
 from hierax.nodes.tracking.datasets.bop import read_results
-from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
+from hierax.nodes.tracking.datasets.truth import Likeness, TruePose, read_truth
 from hierax.nodes.tracking.errors import printed
 from hierax.nodes.tracking.evaluation.probes import POSES_FILE, TRUTH_FILE
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, object_errors
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.model.mesh import box_mesh
+from hierax.nodes.tracking.model.symmetry import found_symmetry
 from hierax.runtime import Probe, Step
 
 PLOT_FILE = "errors.png"
@@ -73,11 +75,14 @@ def _errors(output: Path, truth: Path | None) -> list[ObjectErrors] | None:
 
 
 def _simulated_truth(output: Path) -> dict[int, list[TruePose]]:
-    """True poses by frame, as far as they are written: the world's process may not be done when the arm's is."""
+    """True poses by frame, as far as they are written: the world's process may not be done when the arm's is. Its
+    objects are cubes, each side of which looks the same."""
+    cube = box_mesh([1.0] * 3)
+    likeness = Likeness(found_symmetry(cube), cube.vertices)
     true: dict[int, list[TruePose]] = {}
     rows = read_results(output / TRUTH_FILE, growing=True) if (output / TRUTH_FILE).is_file() else []
     for row in rows:
-        true.setdefault(row.im_id, []).append(TruePose(row.obj_id, row.pose, 1.0))
+        true.setdefault(row.im_id, []).append(TruePose(row.obj_id, row.pose, 1.0, likeness))
     return true
 
 

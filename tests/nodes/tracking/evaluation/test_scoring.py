@@ -51,6 +51,13 @@ def test_a_displaced_model_is_judged_beside_its_displacement() -> None:
     assert exact.distance_mm[0] == pytest.approx(np.sqrt(26.0))
 
 
+def test_what_is_always_as_wrong_is_not_taken_for_a_displaced_model() -> None:
+    off = make_pose(exp_so3(np.array([0.0, 1.5, 0.0])), np.array([0.08, 0.0, 0.0]))
+    truth = {at: [TruePose(1, np.eye(4), 1.0)] for at in range(9)}
+    (found,) = object_errors([Result(1, at, 1, 1.0, off, 0.0) for at in truth], truth, displaced=True)
+    assert found.distance_mm == pytest.approx(np.full(9, 80.0))
+
+
 def test_what_is_nearly_hidden_is_not_counted_and_bands_are_apart() -> None:
     visible = [1.0, 0.95, 0.6, 0.4, 0.2, 0.05, 0.0]
     found = score([course([1.0, 9.0, 1.0, 9.0, 1.0, 90.0, 90.0], visible=visible)])
