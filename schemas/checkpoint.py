@@ -63,6 +63,7 @@ class WorldRecord(NamedTuple):
 _CHECKPOINT: dict[str, type] = {"format": int, **get_type_hints(Checkpoint)}
 _WORLD: dict[str, type] = {"format": int, **get_type_hints(WorldRecord)}
 _CHECKPOINT_NAMES, _WORLD_NAMES = tuple(_CHECKPOINT), tuple(_WORLD)
+_WHOLES, _PARTS = (int,) * 7, (bytes,) * 7  # of a world's record, but for `drains`
 
 
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
@@ -95,10 +96,23 @@ def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
 
 def encode_world(record: WorldRecord) -> bytes:
     """The bytes of the world's record, its parts not looked into; `SchemaError` if a field, or the size, is wrong."""
-    fields = (FORMAT, *record)
-    _check_fields(fields, _WORLD, "record")
-    _check_world(record)
-    return pack(fields, PACKERS, "record", _WORLD_NAMES)
+    fields: tuple[Any, ...] = record
+    epoch, attempt, instance, roster, highest, last, state, intended, acted, processes, *others = fields
+    last_attempt, trial, alone, under_way, drains = others
+    wholes = (epoch, attempt, instance, highest, intended, acted, last_attempt)
+    parts = (roster, last, state, processes, trial, alone, under_way)
+    if not (
+        tuple(map(type, wholes)) == _WHOLES
+        and tuple(map(type, parts)) == _PARTS
+        and type(drains) is bool
+        and min(wholes) >= 0
+        and max(wholes) <= _MAX_WHOLE
+        and acted <= intended <= epoch
+        and len(last) == DIGEST_BYTES
+    ):
+        _check_fields((FORMAT, *record), _WORLD, "record")
+        _check_world(record)
+    return pack((FORMAT, *record), PACKERS, "record", _WORLD_NAMES)
 
 
 def decode_world(data: bytes | memoryview) -> WorldRecord:

@@ -261,8 +261,9 @@ def _is_plain(value: Value, depth: int) -> bool:
     kind = type(value)
     if kind is dict:
         parts: Collection[Any] = value.values()
-        if not all(type(key) is str for key in value):
-            return False
+        for key in value:  # a generator takes three times as long
+            if type(key) is not str:
+                return False
     elif kind is tuple:
         parts = value
     else:

@@ -425,7 +425,7 @@ class Engine:
     def _send_up(self) -> None:
         self._enter(Phase.PREDICT)
         epoch, time_s, belief = self.epoch, self.time_s, self._sensed
-        sensed = self._ahead.observations(epoch, belief, self.wiring.sense)
+        sensed = None if self._world is None else self._ahead.observations(epoch, belief, self.wiring.sense)
         for number, (upper, sense) in enumerate(self.wiring.sense):
             elements: Elements = ()
             if sense is not None:
@@ -485,7 +485,7 @@ class Engine:
         vigilance = self._vigilance
         if vigilance:
             vigilance.keep("context", context)
-        known = self._ahead.belief(chosen, context)
+        known = () if self._world is None else self._ahead.belief(chosen, context)
         belief = known[0] if known else self._predicted(context, actions)
         if vigilance or self.events:
             self._called(node.predict, belief)

@@ -83,6 +83,8 @@ class MappedFile(Storage):
         return self._files[slot].read()
 
     def flush(self) -> None:
+        if not self._unflushed:
+            return
         for slot in sorted(self._unflushed):
             self._files[slot].flush()
             self._unflushed.remove(slot)

@@ -39,9 +39,8 @@ class Slots:
     def write(self, data: bytes) -> None:
         """Write a record over the older of the two; the newer one stays as it is, whatever happens."""
         sequence = self._sequence + 1
-        head = _HEAD.pack(sequence, len(data))
-        checksum = _CHECKSUM.pack(crc32(data, crc32(head)))
-        self._storage.write(sequence % SLOTS, b"".join((checksum, head, data)))
+        record = _HEAD.pack(sequence, len(data)) + data
+        self._storage.write(sequence % SLOTS, _CHECKSUM.pack(crc32(record)) + record)
         self._storage.flush()
         self._sequence = sequence
 

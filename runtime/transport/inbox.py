@@ -41,6 +41,7 @@ class Inbox:
         self._wake = wake  # puts something there; waits while it is full
         self._deciding = threading.Lock()  # held for no longer than it takes to see whether the node's thread sleeps
         self._sleeps = False
+        self._wakers = 0  # how many threads are about to look whether it sleeps, or wake it
         self._putting = threading.Lock()  # held by who wakes it
         self._taking = threading.Lock()  # held by whoever takes from Zenoh's queue
         self._kept: deque[zenoh.Sample] = deque()
@@ -66,12 +67,17 @@ class Inbox:
         """Have the node's thread look at something else than messages; any thread may, and none waits for long."""
         self.interrupted = True
         with self._deciding:  # if it does not sleep, it looks whether it was interrupted before it does
+            self._wakers += 1  # first: who ends its sleep looks at that afterwards, so one of both sees the other
             wakes = self._sleeps and self._putting.acquire(blocking=False)
-        if wakes:
-            try:
-                self._wake()
-            finally:
-                self._putting.release()
+        try:
+            if wakes:
+                try:
+                    self._wake()
+                finally:
+                    self._putting.release()
+        finally:
+            with self._deciding:
+                self._wakers -= 1
 
     def take(self, waits: bool) -> zenoh.Sample | None:
         """The next message: looked for a moment, then slept for, if it may wait; None: none, or interrupted.
@@ -139,13 +145,19 @@ class Inbox:
         try:
             return None if self.interrupted else self._subscriber.recv()
         finally:
-            with self._deciding:
-                self._sleeps = False
-            while not self._putting.acquire(timeout=ROOM_S):
-                sample = self._subscriber.try_recv()
-                if sample is not None:
-                    self._keep(sample, bytes_of(sample))
-            self._putting.release()
+            self._sleeps = False
+            if self._wakers:
+                self._make_room()
+
+    def _make_room(self) -> None:
+        """Take what is in the way of who wakes the node's thread, until that is done."""
+        with self._deciding:
+            pass  # who looks just now whether it sleeps may find that it does
+        while not self._putting.acquire(timeout=ROOM_S):
+            sample = self._subscriber.try_recv()
+            if sample is not None:
+                self._keep(sample, bytes_of(sample))
+        self._putting.release()
 
     def _keep(self, sample: zenoh.Sample, size: int) -> None:
         self._kept.append(sample)
