@@ -25,7 +25,7 @@ import struct
 import threading
 import time
 import weakref
-from collections.abc import Hashable, Iterable
+from collections.abc import Container, Hashable, Iterable
 from contextlib import suppress
 from math import prod
 from mmap import MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_WRITE, mmap
@@ -403,6 +403,13 @@ class SharedArrays:
                 reader = secret if type(reads) is tuple and self.lender.secret in reads else None
                 self._readers[peer] = (secret, number, reader)
             return reader
+
+    def keep(self, peers: Container[str]) -> None:
+        """Let go of the memory of all who are no neighbours any more, but for arrays that somebody has yet."""
+        with self._guard:
+            for peer in [peer for peer in self._neighbours if peer not in peers]:
+                self._unread.difference_update(self._neighbours.pop(peer))
+                self._readers.pop(peer, None)
 
     def borrow(self, peer: str, told: bytes) -> NDArray[Any]:
         """The array that a neighbour's message tells of. Raises `SchemaError` if there is none."""

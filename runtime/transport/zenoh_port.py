@@ -150,6 +150,11 @@ class ZenohPort(Port):
         self._lanes = {
             key: lane for link in self._links.values() for key, lane in self._lanes_of(link.rendezvous).items()
         }
+        hands = (link.rendezvous.handshakes.items() for link in self._links.values())
+        neighbours = {(peer, handshake.ends[1]) for each in hands for peer, handshake in each}
+        self._readers = {each: reader for each, reader in self._readers.items() if each in neighbours}
+        if self._shared is not None:
+            self._shared.keep({peer for peer, _ in neighbours})
 
     def connect(self) -> bool:
         """Do the handshake with every neighbour, while another thread calls `greet`; whether it was not interrupted."""

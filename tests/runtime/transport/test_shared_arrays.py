@@ -193,6 +193,29 @@ def test_two_processes_of_a_neighbour_are_read_while_one_takes_over() -> None:
         other.borrow("sender", before)
 
 
+def test_of_neighbours_that_are_gone_nothing_is_left_but_what_somebody_has() -> None:
+    receiver, held = SharedArrays(), []
+    receiver.lender.lend(LANE, bytes(16), next(pictures()))  # so that its own memory is there
+    before = open_files()
+    for number in range(6):
+        sender = SharedArrays(1 << 20)
+        name = f"sender {number}"
+        sender.heard("receiver", receiver.greeting(name))
+        receiver.heard(name, sender.greeting("receiver"))
+        sender.heard("receiver", receiver.greeting(name))
+        READER[0] = receiver.lender.secret
+        held.append(receiver.borrow(name, lent(sender, next(pictures()))))
+        sender.close()
+    assert open_files() > before + 6
+    receiver.keep({"sender 5"})
+    assert list(receiver._neighbours) == list(receiver._readers) == ["sender 5"]
+    assert all(np.array_equal(array, next(pictures())) for array in held)
+    held.clear()
+    del sender
+    receiver.keep(())
+    assert open_files() <= before
+
+
 def test_what_is_lost_with_its_link_may_be_written_over_and_is_refused_if_it_comes_after_all() -> None:
     sender, receiver = pair()
     late = lent(sender, next(pictures()))
@@ -458,6 +481,21 @@ def test_ports_lend_large_arrays_and_nothing_else(ports: dict[str, ZenohPort]) -
     small = receive(ports["high"])
     assert small is not None
     assert not is_borrowed(small.payload[0]["small"])
+
+
+def test_a_port_lets_go_of_who_is_no_neighbour_any_more(ports: dict[str, ZenohPort]) -> None:
+    low, high = ports["low"], ports["high"]
+    high.send(picture_of(1))
+    assert is_borrowed(came(ports, 1))
+    shared = low._shared
+    assert shared is not None
+    assert list(shared._neighbours) == ["high"]
+    assert low._readers
+    low.link([], [], 1, {}, lambda version: None)
+    assert list(shared._neighbours) == ["high"], "until the roster in which it is is over"
+    low.unlink(1)
+    assert not shared._neighbours
+    assert not low._readers
 
 
 def test_a_forged_place_is_refused_by_a_port_and_the_rest_comes(ports: dict[str, ZenohPort]) -> None:
