@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """For `argparse`: a whole number that is no smaller than this."""
+
+    def number(text: str) -> int:
+        value = int(text) if text.lstrip("-").isdecimal() else least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{text}: expected a whole number from {least} on")
+        return value
+
+    return number
+
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 

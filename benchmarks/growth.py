@@ -22,6 +22,8 @@ from multiprocessing.connection import Connection
 from random import Random
 from typing import Any, NamedTuple
 
+from commands import at_least
+
 from hierax.nodes.chain import Counter, Relay, count, level
 from hierax.runtime.execution.single import SingleRun
 from hierax.runtime.scripting.hierarchy import Hierarchy
@@ -142,8 +144,8 @@ def rows(found: Mapping[tuple[str, int], Sequence[Turn]]) -> list[dict[str, Any]
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--shapes", nargs="+", choices=SHAPES, default=list(SHAPES))
-    parser.add_argument("--sizes", nargs="+", type=int, default=SIZES)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--sizes", nargs="+", type=at_least(2), default=SIZES)
+    parser.add_argument("--rounds", type=at_least(1), default=5)
     parser.add_argument("--format", choices=("text", "json"), default="text")
     options = parser.parse_args()
     told = rows(measure(options.shapes, options.sizes, options.rounds))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from commands import at_least
 from growth import FANOUT, hierarchy
 
 from hierax.runtime.bench.bare_chain import Chain
@@ -92,7 +94,10 @@ def bare_node(number: int, above: Sequence[int], below: int | None, doors: Seque
     while not begun.is_set():
         send_up(0)
         begun.wait(RETRY_S)
-    done.wait()
+    started_by = os.getppid()
+    while not done.wait(1.0):
+        if os.getppid() != started_by:
+            return  # whoever has started it was killed
     print(json.dumps(times_us), flush=True)
     close_session(chain.session)
 
@@ -137,10 +142,14 @@ def measured(shape: str, size: int, epochs: int, rounds: int) -> dict[str, Any]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--stars", nargs="*", type=int, default=[2, 8, 32, 64], help="nodes that sense the world")
-    parser.add_argument("--chains", nargs="*", type=int, default=[4, 8, 16, 32], help="nodes, the world among them")
-    parser.add_argument("--epochs", type=int, default=500)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument(
+        "--stars", nargs="*", type=at_least(1), default=[2, 8, 32, 64], help="nodes that sense the world"
+    )
+    parser.add_argument(
+        "--chains", nargs="*", type=at_least(2), default=[4, 8, 16, 32], help="nodes, the world among them"
+    )
+    parser.add_argument("--epochs", type=at_least(10), default=500)
+    parser.add_argument("--rounds", type=at_least(1), default=5)
     parser.add_argument("--bare", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.bare:

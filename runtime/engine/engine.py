@@ -49,7 +49,7 @@ class Engine:
         *("epoch", "attempt", "start", "state", "encoded_start", "encoded"),
         *("_effects", "_joins", "_fresh", "_prepared", "_held", "_superseded", "_roster", "_world"),
         *("_heard", "_told", "_heard_before", "_told_before", "_sent", "_after"),
-        *("_belief", "_observations", "_sensed", "_intent", "_ahead", "_vigilance"),
+        *("_belief", "_observations", "_sensed", "_intent", "_ahead", "_vigilance", "_tasked"),
     )
 
     def __init__(
@@ -76,6 +76,7 @@ class Engine:
         self._intent: Chosen | None = None
         self._ahead = Ahead()
         self._vigilance: Vigilance | None = None
+        self._tasked = 0  # how many tasks have come in this phase
         self._after = 0
         self._superseded: dict[int, tuple[ActiveNode, bytes]] = {}
         self.digest = NO_DIGEST
@@ -375,6 +376,7 @@ class Engine:
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
+        self._tasked = 0
         if phase is Phase.SENSE:
             self.awaited = self.wiring.below
         elif phase is Phase.PREDICT:
@@ -393,7 +395,9 @@ class Engine:
         self.inbox[slot] = message
         if len(self.inbox) < len(self.awaited):
             if slot[1] == TASKS:
-                self._act_early()
+                self._tasked += 1
+                if self._tasked == len(self.wiring.tasking):
+                    self._act_early()
             return
         if self.phase is Phase.SENSE:
             self._sense()
@@ -443,10 +447,6 @@ class Engine:
 
     def _act_early(self) -> None:
         """Where all tasks are in: what they ask for is on its way down before the context from above is there."""
-        inbox = self.inbox
-        for upper in self.wiring.tasking:
-            if (upper, TASKS) not in inbox:
-                return
         chosen = self._act()
         world = self._world
         if world is not None and world.works_ahead:

@@ -282,7 +282,7 @@ class RatedEngine(SayingEngine):
                 self._turn(epoch, 0)
                 self.inbox = self._kept.taken(self.wiring.below, epoch)
                 self._sense()
-            elif self._kept.lacks(self._counting) or (self.drains and self._lacking_above()):
+            elif self._kept.lacks() or (self.drains and self._lacking_above()):
                 self._has_waited = True
                 return
             else:
@@ -294,6 +294,7 @@ class RatedEngine(SayingEngine):
         self._has_waited = False
         self._takes_part = self._own.takes_part(self.name, epoch)
         self._counting = self._own.counting(epoch) if self._takes_part else {}
+        self._kept.count(self._counting)
         self._told_above = self._own.told_above(epoch)
 
     def _complete(self) -> int:

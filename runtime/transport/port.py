@@ -135,6 +135,7 @@ class MemoryNetwork:
         self.waiting: DrawnSet[str] = DrawnSet(self.random)  # the nodes that have something to receive
         self.queue_size = queue_size  # how many messages of one sender, receiver and kind may be under way
         self.overtakes = False  # whether, where there are so many, the oldest is left out: only newer ones count
+        self.under_way = 0  # how many messages are not received yet
         self._ports: dict[str, MemoryPort] = {}
 
     def open_port(self, name: str) -> "MemoryPort":
@@ -154,8 +155,7 @@ class MemoryNetwork:
 
     def lets_go_on(self) -> bool:
         """Whether a node that waits for nobody has its turn, by the seed: the more is under way, the more seldom."""
-        under_way = sum(port.under_way for port in self._ports.values())
-        return self.random.random() * (under_way + 1) < 1.0
+        return self.random.random() * (self.under_way + 1) < 1.0
 
     def put(self, message: Message) -> None:
         header = message.header
@@ -205,11 +205,6 @@ class MemoryPort(Port):
         queue = self._lanes.get(lane)
         return 0 if queue is None else len(queue)
 
-    @property
-    def under_way(self) -> int:
-        """How many messages are not received yet."""
-        return sum(len(queue) for queue in self._lanes.values())
-
     def put(self, lane: Lane, data: bytes) -> None:
         """A message is on its way here."""
         queue = self._lanes.get(lane)
@@ -219,15 +214,18 @@ class MemoryPort(Port):
             self._filled.add(lane)
             self._network.waiting.add(self._name)
         queue.append(data)
+        self._network.under_way += 1
 
     def skip(self, lane: Lane) -> None:
         """Leave out the oldest message of a lane, before another one is put there."""
         del self._lanes[lane][0]
+        self._network.under_way -= 1
 
     def lose(self, sender: str | None = None) -> None:
         """Lose what is under way here, from one sender or from all."""
         for lane, queue in self._lanes.items():
             if sender in (None, lane[0]):
+                self._network.under_way -= len(queue)
                 queue.clear()
                 self._filled.discard(lane)
         self._settle()
@@ -257,6 +255,7 @@ class MemoryPort(Port):
         lane = self._filled.draw()
         queue = self._lanes[lane]
         data = queue.pop(0)
+        self._network.under_way -= 1
         if not queue:
             self._filled.discard(lane)
             self._settle()

@@ -12,6 +12,7 @@ import pytest
 
 from hierax.nodes.chain import Counter, Relay, count, level
 from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.execution.single import SingleRun
 from hierax.runtime.loading.allowance import ANYTHING
@@ -31,13 +32,21 @@ SHAPES: dict[str, Callable[[int], int]] = {
 """The node below each."""
 
 
-def described(shape: str, size: int, **fields: Any) -> Hierarchy:
+def nothing(actions: Elements) -> Elements:
+    """ψ that asks for nothing."""
+    return ()
+
+
+def described(shape: str, size: int, every: int = 1, delay: int = 0, tasks: bool = False, **fields: Any) -> Hierarchy:
     made = Hierarchy("grown", **fields).add("n0", Counter)
+    others: dict[str, Any] = {"every": every} if every > 1 else {}
+    ends: dict[str, Any] = {"delay": delay} if delay else {}
+    ends |= {"task": nothing} if tasks else {}
     for index in range(1, size):
-        made.add(f"n{index}", Relay)
+        made.add(f"n{index}", Relay, **others)
     for index in range(1, size):
         lower = SHAPES[shape](index)
-        made.join(f"n{lower}", f"n{index}", sense=level if lower else count, context=level)
+        made.join(f"n{lower}", f"n{index}", sense=level if lower else count, context=level, **ends)
     if shape == "a node over many":
         made.add("top", Relay)
         for index in range(1, size):
@@ -68,7 +77,17 @@ def epochs(run: Iterator[object], number: int = EPOCHS) -> None:
         next(run)
 
 
-@pytest.mark.parametrize("fields", [{}, {"staleness": 1}, {"staleness": None}], ids=["barrier", "stale", "free"])
+WAYS: dict[str, dict[str, Any]] = {
+    "barrier": {},
+    "stale": {"staleness": 1},
+    "free": {"staleness": None},
+    "tasks": {"tasks": True},
+    "delay": {"delay": 2},
+    "rates": {"every": 2, "delay": 2},
+}
+
+
+@pytest.mark.parametrize("fields", WAYS.values(), ids=WAYS.keys())
 @pytest.mark.parametrize("shape", SHAPES)
 def test_an_epoch_costs_a_node_as_much_among_many(shape: str, fields: dict[str, Any]) -> None:
     """Fails where a delivery, or a turn, looks at all nodes or at all neighbours of one."""
