@@ -11,7 +11,7 @@ import numpy as np
 
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED, edges_seen
-from hierax.nodes.tracking.evidence import Evidence, evidence
+from hierax.nodes.tracking.evidence import Evidence, Sought, evidence, sought
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, Size, invert, pose_error, project
 from hierax.nodes.tracking.model.symmetry import NONE, turns_back
 from hierax.nodes.tracking.render import DepthRenderer, item_of
@@ -70,22 +70,27 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, showing.T
     size = (corrected["size"][0] // _COARSER, corrected["size"][1] // _COARSER)
     things["/scene/camera"] = showing.Camera(corrected["camera"], lens, size, small, depth_m=_FRUSTUM_M)
     told = evidence(image, corrected, before, step.belief, motion)
-    return {**things, **_evidence_things(told, image, intrinsics)}
+    lost = sought(image, corrected, step.belief)
+    return {**things, **_evidence_things(told, lost, image, intrinsics)}
 
 
-def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) -> dict[str, showing.Thing]:
-    """The image with edges coloured by what they say, thin outlines of other poses, and all of it in words."""
-    if not told:
+def _evidence_things(
+    told: Sequence[Evidence], lost: Sequence[Sought], image: Array, intrinsics: Array
+) -> dict[str, showing.Thing]:
+    """The image with edges coloured by what they say, thin outlines of other poses, and of those at which objects may
+    be that are looked for, and all of it in words."""
+    every: Sequence[Evidence | Sought] = [*told, *lost]
+    if not every:
         return {}
     things: dict[str, showing.Thing] = {
-        "why": "\n\n".join(each.text() for each in told),
+        "why": "\n\n".join(each.text() for each in every),
         "/evidence/image": showing.Image(image),
     }
     dashes: dict[str, list[Floats]] = {}
-    for each in told:
-        for edge in each.edges:
-            name = next(name for least, name, _ in _SHARES if edge.nats >= least)
-            dashes.setdefault(name, []).append(edge.dashes)
+    for edge in (edge for each in told for edge in each.edges):
+        name = next(name for least, name, _ in _SHARES if edge.nats >= least)
+        dashes.setdefault(name, []).append(edge.dashes)
+    for each in every:
         for number, other in enumerate(each.others[:_OTHERS]):
             there: schema.TrackedObject = {**each.item, "pose": other.pose, "edges": other.edges}
             lines = edges_seen([there], np.eye(4), intrinsics)

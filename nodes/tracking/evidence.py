@@ -7,20 +7,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.certainty import present
 from hierax.nodes.tracking.estimation.joint_alignment import Task, prior_of, task_of
 from hierax.nodes.tracking.estimation.likelihood import Shares, expected, explains, shares
-from hierax.nodes.tracking.estimation.palette import dyed
-from hierax.nodes.tracking.estimation.profiles import smoothed
+from hierax.nodes.tracking.estimation.palette import dyed, palette_of
+from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.stages import moves_of
 from hierax.nodes.tracking.estimation.tracked import dashes
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, pose_error
 from hierax.nodes.tracking.model.controls import gathered
-from hierax.nodes.tracking.schema import TRACKED, Alternative, ArmBelief, TrackedObject
-from hierax.nodes.tracking.search.multistart import squared
+from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, ArmBelief, TrackedObject
+from hierax.nodes.tracking.search.multistart import FINE, squared
 
 KINDS = ("outline", "crease", "smooth")  # of edges, by number
 _FIXED = 1e12 * np.eye(6)  # information on a pose that is not to be moved
@@ -28,6 +29,7 @@ _MOST_EDGES = 16  # so many of an object are told one by one
 _DASH_PX = 1.5  # half of what is drawn at a control point
 _HEAD = ("edge", "is", "at, px", "expected", "seen", "off, px", "off, mm", "nats")
 _OTHERS = ("instead", "nats", "away, mm", "turned, °")
+_PLACES = ("from the camera: right, down, ahead, mm", "nats")
 
 
 class Edge(NamedTuple):
@@ -94,6 +96,60 @@ class Evidence(NamedTuple):
             (each.name, f"{each.nats:+.1f}", f"{each.away_mm:.1f}", f"{each.turned_deg:.1f}") for each in self.others
         ]
         return "\n\n".join([head, *(_table(*each) for each in ((_HEAD, rows), (_OTHERS, others)) if each[1])])
+
+
+class Sought(NamedTuple):
+    """Where an object may be of which nobody knows where it is."""
+
+    item: TrackedObject
+    others: tuple[Other, ...]  # best first
+
+    def text(self) -> str:
+        """As Markdown that can be read as it stands."""
+        item, needed = self.item, const.CONFIRMED * const.CLEAR_NATS
+        lead = f"It leads by {item['lead']:.1f} nats" if item["lead"] else "None leads"
+        head = (
+            f"### object {item['id']}: {item['status']}\n\n"
+            f"It was looked for everywhere {item['failed_searches']} times, and may be in {len(self.others)} places. "
+            f"{lead}, added up over images in a row; with {needed:.0f} it is found."
+        )
+        rows = []
+        for each in self.others:
+            x, y, z = 1000.0 * each.pose[:3, 3]
+            rows.append((f"{x:.0f}, {y:.0f}, {z:.0f}", f"{each.nats:+.1f}"))
+        return "\n\n".join([head, *([_table(_PLACES, rows)] if rows else [])])
+
+
+def sought(image: Array, after: ArmBelief, kept: ArmBelief) -> list[Sought]:
+    """Where objects may be that are lost: the poses at which the arm is asked to look for them in the next image, and
+    by how much each explains this one better than clutter does; arguments as for `evidence`."""
+    intrinsics = after["intrinsics"]
+    if intrinsics is None:
+        return []
+    light = smoothed(image)
+    palette = palette_of(light, [item["slots"] for item in after["objects"]])
+    asked = {item["id"]: item["others"] for item in kept["objects"]}
+    found = []
+    for at, item in enumerate(after["objects"]):
+        if item["status"] != LOST:
+            continue
+        others = [other for other in asked.get(item["id"], ()) if len(other["controls"]["points"])]
+        aligned = _fixed(light, item, others, np.asarray(intrinsics)) if others else None
+        nats = [] if aligned is None else (explains(aligned) + dyed(aligned, palette, [at] * len(others))).tolist()
+        each = [
+            _other("imagined", item, other["pose"], dashes(other["controls"]), said)
+            for other, said in zip(others, nats, strict=False)
+        ]
+        found.append(Sought(item, tuple(sorted(each, key=lambda other: -other.nats))))
+    return found
+
+
+def _fixed(light: Image, item: TrackedObject, others: Sequence[Alternative], intrinsics: Array) -> Aligned | None:
+    """What an image shows of an object at poses that are left as they are."""
+    controls = gathered([other["controls"] for other in others])
+    memory = memory_of([item["slots"]] * len(others), controls, light.shape[2])
+    start = Start(np.stack([other["pose"] for other in others]), np.tile(_FIXED, (len(others), 1, 1)))
+    return align(light, controls, start, intrinsics, memory, FINE)
 
 
 def evidence(

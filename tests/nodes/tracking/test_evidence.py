@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 import pytest
 from support.coloured import BLUE, CAMERA, GREEN, INTRINSICS, POSES, RED, item, taught
+from support.coloured import imagined as imagined_cube
 from support.coloured import picture as cubes_in
 from support.cube_arm import FIRST_CAMERA, WORLD_FROM_OBJECT, after_first_epoch, imagined, node, picture
 
 from hierax.nodes.tracking import constants as const
-from hierax.nodes.tracking.evidence import Evidence, evidence
+from hierax.nodes.tracking.evidence import Evidence, evidence, sought
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 from hierax.runtime import Step
 from hierax.runtime.core.showing import Curve, Lines2D
@@ -114,6 +115,24 @@ def test_it_is_shown_in_words_as_curves_and_over_the_picture() -> None:
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert lines[0].split("|")[1].strip() == "edge"
     assert len(lines) == 2 + len(of(step, before).edges) + 2 + 2
+
+
+def test_of_what_is_lost_it_is_told_where_it_may_be() -> None:
+    """Its place among three cubes, and that of another one, as the spatial node asks for them."""
+    looks = taught(RED, GREEN, BLUE)
+    places = tuple(imagined_cube(POSES[at]) for at in (0, 1))
+    lost = {**item(0, POSES[2], looks[0], status="lost", failed_searches=7, lead=5.0), "others": places}
+    belief: Any = {"intrinsics": INTRINSICS, "camera": CAMERA, "objects": (lost, item(2, POSES[2], looks[2]))}
+    (found,) = sought(cubes_in(RED, GREEN, BLUE), belief, belief)
+    assert [np.allclose(other.pose, POSES[at]) for at, other in enumerate(found.others)] == [True, True]
+    assert found.others[0].nats > 15.0
+    assert found.others[0].nats > found.others[1].nats + const.CLEAR_NATS, "the other one has other colours"
+    text = found.text()
+    assert "looked for everywhere 7 times, and may be in 2 places. It leads by 5.0 nats" in text
+    assert f"{1000.0 * POSES[0][2, 3]:.0f} | " in text
+    nowhere: Any = {**belief, "objects": ({**lost, "others": (), "lead": 0.0},)}
+    (found,) = sought(cubes_in(RED, GREEN, BLUE), nowhere, nowhere)
+    assert "may be in 0 places. None leads" in found.text()
 
 
 def test_what_is_not_expected_to_be_seen_is_not_told_of() -> None:
