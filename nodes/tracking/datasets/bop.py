@@ -389,6 +389,9 @@ def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
 def _scene_object(path: Path, frame: str, at: int, entry: Any, told: bool) -> SceneObject:
     where = f"{path}: frame {frame}, object {at}"
     number = bop_json.read_obj_id(where, entry)
-    if not told or ("pose" in entry and entry["pose"] is None):
+    if "pose" in entry and entry["pose"] is not None:
+        what = f"pose is {entry['pose']!r:.60}; expected null, or cam_R_m2c and cam_t_m2c in its place"
+        raise DataError(f"{where}: {what}")
+    if not told or "pose" in entry:
         return SceneObject(at + 1, number, None)
     return SceneObject(at + 1, number, bop_json.read_pose(where, entry, "cam_R_m2c", "cam_t_m2c"))

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ _MAX_DIGITS = 9
 _FARTHEST_M = 100.0
 # Twice a face's area, in squares of the mesh's extent: one with less is a line or a point, and left out.
 _LEAST_AREA = 1e-14
+_STL_HEAD, _STL_FACE = 84, 50  # bytes of a binary file's head, which ends with how many triangles follow, and of each
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 
 
@@ -108,6 +109,47 @@ def _read_gltf(path: Path, data: bytes) -> tuple[Floats, NDArray[np.int32]]:
     return _read_scene(path, data)
 
 
+def _read_obj(path: Path, data: bytes) -> tuple[Floats, NDArray[np.int32]]:
+    vertices, named = 0, (0, 0)
+    for number, line in enumerate(data.splitlines(), start=1):
+        kind, *words = line.split() or [b""]
+        if kind == b"v":
+            _numbers(path, number, words[:3], 3)
+            vertices += 1
+        elif kind == b"f":
+            corners = [int(each) for each in _numbers(path, number, [word.partition(b"/")[0] for word in words], 3)]
+            if 0 in corners or min(corners) < -vertices:
+                what = f"names vertex {0 if 0 in corners else min(corners)}; expected them numbered from 1 on"
+                raise DataError(f"{path}: line {number}: {what}, or backwards from -1")
+            named = max(named, (max(corners), number))
+    if named[0] > vertices:
+        raise DataError(f"{path}: line {named[1]}: names vertex {named[0]}; there are {vertices}")
+    return _read_scene(path, data)
+
+
+def _numbers(path: Path, line: int, words: Sequence[bytes], least: int) -> list[float]:
+    try:
+        found = [float(word) for word in words]
+    except ValueError:
+        found = []
+    if len(found) < least:
+        told = b" ".join(words).decode("utf-8", "replace")
+        raise DataError(f"{path}: line {line}: {told!r:.60}; expected {least} numbers at least")
+    return found
+
+
+def _read_stl(path: Path, data: bytes) -> tuple[Floats, NDArray[np.int32]]:
+    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2048].lower():
+        if b"endsolid" not in data[-2048:].lower():
+            raise DataError(f"{path}: ends before its last line; expected 'endsolid' there")
+        return _read_scene(path, data)
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) < _STL_HEAD or len(data) < _STL_HEAD + _STL_FACE * count:
+        expected = f"expected a binary STL model of {count} triangles, {_STL_HEAD + _STL_FACE * count} bytes"
+        raise DataError(f"{path}: has {len(data)} bytes; {expected}")
+    return _read_scene(path, data)
+
+
 class _Beside:
     """Files that a model's file names, bounded as that is."""
 
@@ -125,8 +167,8 @@ class _Beside:
 _GLTF = (".glb", ".gltf")
 _READERS: dict[str, Callable[[Path, bytes], tuple[Floats, NDArray[np.int32]]]] = {
     ".ply": _read_ply,
-    ".obj": _read_scene,
-    ".stl": _read_scene,
+    ".obj": _read_obj,
+    ".stl": _read_stl,
     **dict.fromkeys(_GLTF, _read_gltf),
 }
 SUFFIXES = tuple(_READERS)
