@@ -30,6 +30,7 @@ from commands import at_least
 from growth import FANOUT, hierarchy
 
 from hierax.runtime.bench.bare_chain import Chain
+from hierax.runtime.bench.epoch import from_commit_to_commit
 from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.transport.zenoh_session import close_session, door_at, knocking_at
 
@@ -124,7 +125,7 @@ def bare(shape: str, size: int, epochs: int) -> list[float]:
 def ours(shape: str, size: int, epochs: int) -> list[float]:
     """How long epochs of ours took, in µs."""
     deployment = hierarchy(shape, size, start_timeout_s=TIMEOUT_S).deployment()
-    return [1e6 * each for each in launch(deployment, epochs=epochs, seed=0).epochs_s]
+    return [1e6 * each for each in from_commit_to_commit(launch(deployment, epochs=epochs, seed=0))]
 
 
 def measured(shape: str, size: int, epochs: int, rounds: int) -> dict[str, Any]:

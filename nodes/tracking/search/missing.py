@@ -70,6 +70,8 @@ def look_for_missing(
         sweeps: of some that are missing; intrinsics: (4,) fx, fy, cx, cy in pixels.
         level: (4,) unit vector upwards, camera's frame, and how high the camera is above the table, m.
     """
+    if not sweeps and not any(missing.values()):
+        return {}
     image, intrinsics, thinned = _reduced(image, intrinsics)
     objects = [{**item, "controls": thinned(item["controls"])} for item in objects]
     missing = {at: [{**each, "controls": thinned(each["controls"])} for each in own] for at, own in missing.items()}
@@ -77,8 +79,6 @@ def look_for_missing(
     shown = dict(missing)
     for at in recent:
         shown[at] = [{"pose": objects[at]["pose"], "controls": objects[at]["controls"], "kept": True}]
-    if not sweeps and not any(missing.values()):
-        return {}
     search = _Search(image, intrinsics, level, palette_of(image, [item["slots"] for item in objects]))
     maps = maps_of(image)
     settled = [item for at, item in enumerate(objects) if at not in recent]

@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from support.launched import Command, is_alive, processes_of, until
+
+from hierax.runtime.bench.epoch import from_commit_to_commit
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
@@ -27,6 +31,11 @@ def test_a_bench_that_is_ended_leaves_nobody_behind(tmp_path: Path, number: sign
         finally:
             for pid in filter(is_alive, chain):
                 os.kill(pid, signal.SIGKILL)
+
+
+def test_what_lies_between_epochs_counts() -> None:
+    report: Any = SimpleNamespace(wall_s=1.0, epochs_s=[0.2, 0.3, 0.1, 0.2])
+    assert from_commit_to_commit(report) == pytest.approx([0.25, 0.35, 0.15, 0.25])
 
 
 def command_line(pid: int) -> bytes:
