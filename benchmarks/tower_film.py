@@ -16,6 +16,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from commands import at_least
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED
@@ -92,10 +93,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recording", type=Path)
     parser.add_argument("picture", type=Path, help="a .webp that moves; a .jpg or .png with all on one sheet")
-    parser.add_argument("--every", type=int, default=10, help="one epoch of so many")
+    parser.add_argument("--every", type=at_least(1), default=10, help="one epoch of so many")
     options = parser.parse_args()
-    if options.every < 1:
-        parser.error("--every: expected 1 or more")
     try:
         recording = Recording.open(options.recording)
     except HieraxError as error:

@@ -13,7 +13,7 @@ from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED, edges_seen
 from hierax.nodes.tracking.evidence import Evidence, Sought, evidence, sought
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, Size, invert, pose_error, project
-from hierax.nodes.tracking.model.symmetry import NONE, turns_back
+from hierax.nodes.tracking.model.symmetry import NONE, alike
 from hierax.nodes.tracking.render import DepthRenderer, item_of
 from hierax.runtime import Step, Value
 from hierax.runtime.core import showing
@@ -130,8 +130,8 @@ def errors(steps: Mapping[str, Step]) -> dict[str, showing.Thing]:
     for item in (item for arm in arms for item in arm["objects"]):
         number = item["id"]
         if item["status"] == schema.TRACKED and number in truth:
-            looks_as = item["pose"] @ turns_back(item.get("symmetry", NONE), item["pose"], truth[number])[0]
-            distance_m, angle_rad = pose_error(looks_as, truth[number])
+            (nearest,) = alike(item.get("symmetry", NONE), item["pose"][None], truth[number])
+            distance_m, angle_rad = pose_error(nearest, truth[number])
             things[f"/error_mm/{number}"] = _curve(number, 1000.0 * distance_m)
             things[f"/turn_deg/{number}"] = _curve(number, float(np.degrees(angle_rad)))
     return things

@@ -15,7 +15,7 @@ from hierax.nodes.tracking.estimation.joint_alignment import Task, prior_of, tas
 from hierax.nodes.tracking.estimation.likelihood import Shares, expected, explains, shares
 from hierax.nodes.tracking.estimation.palette import dyed, palette_of
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
-from hierax.nodes.tracking.estimation.stages import moves_of
+from hierax.nodes.tracking.estimation.stages import Search, moves_of
 from hierax.nodes.tracking.estimation.tracked import dashes
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, pose_error
@@ -124,7 +124,7 @@ def sought(image: Array, after: ArmBelief, kept: ArmBelief) -> list[Sought]:
     """Where objects may be that are lost: the poses at which the arm is asked to look for them in the next image, and
     by how much each explains this one better than clutter does; arguments as for `evidence`."""
     intrinsics = after["intrinsics"]
-    if intrinsics is None:
+    if intrinsics is None or all(item["status"] != LOST for item in after["objects"]):
         return []
     light = smoothed(image)
     palette = palette_of(light, [item["slots"] for item in after["objects"]])
@@ -134,7 +134,7 @@ def sought(image: Array, after: ArmBelief, kept: ArmBelief) -> list[Sought]:
         if item["status"] != LOST:
             continue
         others = [other for other in asked.get(item["id"], ()) if len(other["controls"]["points"])]
-        aligned = _fixed(light, item, others, np.asarray(intrinsics)) if others else None
+        aligned = _at_others(light, item, others, _FIXED, np.asarray(intrinsics), FINE) if others else None
         nats = [] if aligned is None else (explains(aligned) + dyed(aligned, palette, [at] * len(others))).tolist()
         each = [
             _other("imagined", item, other["pose"], dashes(other["controls"]), said)
@@ -144,12 +144,19 @@ def sought(image: Array, after: ArmBelief, kept: ArmBelief) -> list[Sought]:
     return found
 
 
-def _fixed(light: Image, item: TrackedObject, others: Sequence[Alternative], intrinsics: Array) -> Aligned | None:
-    """What an image shows of an object at poses that are left as they are."""
+def _at_others(
+    light: Image,
+    item: TrackedObject,
+    others: Sequence[Alternative],
+    information: Floats,
+    intrinsics: Array,
+    search: Search,
+) -> Aligned | None:
+    """What an image shows of an object at other poses, each known as well as (6, 6) information says."""
     controls = gathered([other["controls"] for other in others])
     memory = memory_of([item["slots"]] * len(others), controls, light.shape[2])
-    start = Start(np.stack([other["pose"] for other in others]), np.tile(_FIXED, (len(others), 1, 1)))
-    return align(light, controls, start, intrinsics, memory, FINE)
+    start = Start(np.stack([other["pose"] for other in others]), np.tile(information, (len(others), 1, 1)))
+    return align(light, controls, start, intrinsics, memory, search)
 
 
 def evidence(
@@ -216,11 +223,8 @@ def _others(task: Task, item: TrackedObject, at: int, others: Sequence[Alternati
     others = [other for other in others if len(other["controls"]["points"])]
     if not others:
         return []
-    controls = gathered([other["controls"] for other in others])
-    memory = memory_of([item["slots"]] * len(others), controls, task.image.shape[2])
-    information = np.tile(inverse(item["covariance"][None]), (len(others), 1, 1))
-    start = Start(np.stack([other["pose"] for other in others]), information)
-    aligned = align(task.image, controls, start, task.intrinsics, memory, task.search)
+    information = inverse(item["covariance"][None])[0]
+    aligned = _at_others(task.image, item, others, information, task.intrinsics, task.search)
     if aligned is None:
         return []
     nats = explains(aligned) + dyed(aligned, task.palette, [at] * len(others))

@@ -50,8 +50,11 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     info = recording.info
     allowance = allowance_of(recording, options.trust)
     extend_import_path(tuple(info.import_paths))
-    for setting in options.overrides or ():
-        _check_changes(setting, changed_nodes(info, setting), recorded_deployment(info).roster.world, options)
+    if options.overrides:
+        recorded = recorded_deployment(info).roster
+        for setting in options.overrides:
+            changed = changed_nodes(recorded, recorded_deployment(info, [setting]).roster)
+            _check_changes(setting, changed, recorded.world, options)
     replaced = _classes(options.classes or ())
     check_names(recording, [*replaced, *([] if options.node is None else [options.node])])
     named = [module_of(target) for target in replaced.values()]

@@ -16,7 +16,6 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
 
     def __init__(self) -> None:
         super().__init__(dict)
-        self._counting: Mapping[Slot, int] = {}
         self._missing: list[tuple[Slot, int]] = []  # of what counts, what may not have come yet
         self._incomplete: dict[int, list[Slot]] = {}  # likewise of all slots, by epoch
 
@@ -31,7 +30,6 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
 
     def count(self, counting: Mapping[Slot, int]) -> None:
         """From now on these count: by slot, of which epoch; 0: of none yet."""
-        self._counting = counting
         self._missing = [(slot, epoch) for slot, epoch in counting.items() if epoch]
 
     def lacks(self) -> bool:
@@ -51,7 +49,6 @@ class KeptMessages(defaultdict[Slot, dict[int, Message]]):
             del self[slot]
         for slot, epoch in since.items():
             drop_before(self[slot], epoch)
-        self.count(self._counting)
         self._incomplete.clear()
 
     def taken(self, slots: Iterable[Slot], epoch: int) -> dict[Slot, Message]:

@@ -154,6 +154,7 @@ class RatedEngine(SayingEngine):
         since |= {upper: rates.since(self.name, upper) for upper in self.node.above}
         self._unheard.only(since)
         self._kept.only({slot: since[slot[0]] for slot in self._instances})
+        self._kept.count(self._counting)
         gathering = {lower for lower in since if (lower, self.name) in rates.gathers and self.epoch >= since[lower]}
         self._gathered = {lower: each for lower, each in self._gathered.items() if lower in gathering}
 

@@ -289,9 +289,8 @@ def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str,
     return rewritten
 
 
-def changed_nodes(info: RunInfo, setting: str) -> frozenset[str]:
-    """The nodes that a setting (``--set``) makes other ones than in a recording, and those whose edges it changes."""
-    old, new = recorded_deployment(info).roster, recorded_deployment(info, [setting]).roster
+def changed_nodes(old: Roster, new: Roster) -> frozenset[str]:
+    """The nodes that are other ones in a new roster than in an old one, and those of whose edges one is."""
     nodes = {name for name in new.nodes if new.nodes[name] != old.nodes.get(name)}
     before, after = ({edge.pair: edge for edge in each.edges} for each in (old, new))
     ends = {end for pair in {*before, *after} if before.get(pair) != after.get(pair) for end in pair}

@@ -10,6 +10,7 @@ from hierax.nodes.tracking.datasets.bop import dataset_of, read_model
 from hierax.nodes.tracking.datasets.bop_json import read_json, read_obj_id, read_pose
 from hierax.nodes.tracking.imagery.physics import support_points
 from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.model.symmetry import NONE
 from hierax.nodes.tracking.schema import Symmetry
 
 POSES = "scene_gt.json"
@@ -30,6 +31,11 @@ class TruePose(NamedTuple):
     pose: Floats  # camera_from_object, metres
     visible: float  # share of its silhouette that is seen, 0 to 1; 1 where nobody says
     likeness: Likeness | None = None  # None where there are no models
+
+    @property
+    def symmetry(self) -> Symmetry:
+        """That of its model; none where there is none."""
+        return NONE if self.likeness is None else self.likeness.symmetry
 
 
 def read_truth(folder: Path, posed: bool = True) -> dict[int, list[TruePose]]:

@@ -20,11 +20,11 @@ import numpy as np
 from hierax.nodes.sources.files import DataError, writing
 from hierax.nodes.tracking.datasets.truth import TruePose
 from hierax.nodes.tracking.errors import printed
-from hierax.nodes.tracking.evaluation.scoring import LEAST_VISIBLE, RIGHT, is_astray, nearest_off
+from hierax.nodes.tracking.evaluation.scoring import LEAST_VISIBLE, RIGHT, is_astray
 from hierax.nodes.tracking.math.batched import adjoints
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, log_se3, pose_error
-from hierax.nodes.tracking.model.symmetry import NONE, open_to, turns_back
-from hierax.nodes.tracking.schema import TRACKED, Symmetry
+from hierax.nodes.tracking.model.symmetry import open_to, turns_back
+from hierax.nodes.tracking.schema import TRACKED
 from hierax.runtime import Probe, Step
 from hierax.runtime.execution.report import Json
 
@@ -77,8 +77,10 @@ def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
     known = np.array([key in true for key in keys], dtype=bool)
     columns = {name: column[known] for name, column in columns.items()}
     pairs = [(pose, true[key]) for pose, key in zip(columns["pose"], (key for key in keys if key in true), strict=True)]
-    off = [nearest_off(right, given) for given, right in pairs]
-    twists = [_twist(right, given) for given, right in pairs]
+    turns = [turns_back(right.symmetry, given, right.pose)[0] for given, right in pairs]
+    off = [invert(right.pose) @ given @ turn for (given, right), turn in zip(pairs, turns, strict=True)]
+    # Of what looks the same it is told in the frame of what was given.
+    twists = [adjoints(turn[None])[0] @ -log_se3(each) for turn, each in zip(turns, off, strict=True)]
     errors = np.array([pose_error(each, np.eye(4)) for each in off]).reshape(-1, 2)
     added = {
         "visible": np.array([right.visible for _, right in pairs]),
@@ -92,23 +94,13 @@ def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
     _write(file, {**columns, **added})
 
 
-def _twist(true: TruePose, given: Floats) -> Floats:
-    """The ξ with which ``given @ exp_se3(ξ)`` looks like the true pose, the nearest of those that do."""
-    turn = turns_back(_symmetry(true), given, true.pose)[0]
-    return np.asarray(adjoints(turn[None])[0] @ -log_se3(invert(true.pose) @ given @ turn))
-
-
 def _nees(twist: Floats, covariance: Floats, true: TruePose) -> float:
     """A twist's square normalised by its covariance, in the mean of the degrees of freedom that images tell of."""
-    values, axes = np.linalg.eigh(open_to(_symmetry(true)))
+    values, axes = np.linalg.eigh(open_to(true.symmetry))
     told = axes[:, values > 0.5]
     inside = told.T @ twist
     square: float = inside @ np.linalg.solve(told.T @ covariance @ told, inside)
     return square / len(inside)
-
-
-def _symmetry(true: TruePose) -> Symmetry:
-    return NONE if true.likeness is None else true.likeness.symmetry
 
 
 def _write(path: Path, columns: Mapping[str, object]) -> None:

@@ -19,7 +19,7 @@ from hierax.nodes.tracking.datasets.bop import Result, read_results
 from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
 from hierax.nodes.tracking.errors import printed
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, log_se3, pose_error, transform
-from hierax.nodes.tracking.model.symmetry import NONE, turns_back
+from hierax.nodes.tracking.model.symmetry import alike, turns_back
 
 LIMITS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0))  # millimetres and degrees within which a pose is right
 LEAST_VISIBLE = 0.1  # what is seen less of an object does not count
@@ -153,8 +153,7 @@ def _errors(
 
 def nearest_off(true: TruePose, given: Floats) -> Floats:
     """true_from_given, of the poses that look like the given one the nearest's."""
-    symmetry = NONE if true.likeness is None else true.likeness.symmetry
-    return np.asarray(invert(true.pose) @ given @ turns_back(symmetry, given, true.pose)[0])
+    return np.asarray(invert(true.pose) @ alike(true.symmetry, given[None], true.pose)[0])
 
 
 def is_astray(distance_mm: Floats, angle_deg: Floats) -> Array:

@@ -74,10 +74,11 @@ def resting_poses(shape: Shape, symmetry: Symmetry = NONE) -> list[Floats]:
         for turn in np.arange(const.YAWS) * 2.0 * np.pi / const.YAWS:
             pose = make_pose(exp_so3(np.array([0.0, 0.0, turn])), np.zeros(3)) @ standing
             placed = transform(pose, corners)
-            apart = np.linalg.norm(seen[:, :, None] - placed[None, None], axis=-1).min(axis=1).max(axis=1)
             if is_round and kept:  # the hull has corners where the body has none
                 turned = [transform(alike(symmetry, pose[None], other)[0], corners) for other in kept]
                 apart = np.linalg.norm(seen - np.stack(turned), axis=-1).max(axis=1)
+            else:
+                apart = np.linalg.norm(seen[:, :, None] - placed[None, None], axis=-1).min(axis=1).max(axis=1)
             if (apart > const.SAME_POSE * diameter).all():
                 kept.append(pose)
                 seen = np.concatenate((seen, placed[None]))

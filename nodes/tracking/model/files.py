@@ -114,10 +114,10 @@ def _read_obj(path: Path, data: bytes) -> tuple[Floats, NDArray[np.int32]]:
     for number, line in enumerate(data.splitlines(), start=1):
         kind, *words = line.split() or [b""]
         if kind == b"v":
-            _numbers(path, number, words[:3], 3)
+            _three_numbers(path, number, words[:3])
             vertices += 1
         elif kind == b"f":
-            corners = [int(each) for each in _numbers(path, number, [word.partition(b"/")[0] for word in words], 3)]
+            corners = [int(each) for each in _three_numbers(path, number, [word.partition(b"/")[0] for word in words])]
             if 0 in corners or min(corners) < -vertices:
                 what = f"names vertex {0 if 0 in corners else min(corners)}; expected them numbered from 1 on"
                 raise DataError(f"{path}: line {number}: {what}, or backwards from -1")
@@ -127,14 +127,14 @@ def _read_obj(path: Path, data: bytes) -> tuple[Floats, NDArray[np.int32]]:
     return _read_scene(path, data)
 
 
-def _numbers(path: Path, line: int, words: Sequence[bytes], least: int) -> list[float]:
+def _three_numbers(path: Path, line: int, words: Sequence[bytes]) -> list[float]:
     try:
         found = [float(word) for word in words]
     except ValueError:
         found = []
-    if len(found) < least:
+    if len(found) < 3:
         told = b" ".join(words).decode("utf-8", "replace")
-        raise DataError(f"{path}: line {line}: {told!r:.60}; expected {least} numbers at least")
+        raise DataError(f"{path}: line {line}: {told!r:.60}; expected 3 numbers at least")
     return found
 
 
