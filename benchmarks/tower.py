@@ -4,7 +4,7 @@
     python benchmarks/tower.py --scenes 3:5 --launch
     python benchmarks/tower.py --builder reactive,planner --jobs 2
     python benchmarks/tower.py --person knock,take          # a cell of 20 scenes each; knock+take: both in each scene
-    python benchmarks/tower.py --person every --launched 5  # all eight, one cell each, five scenes of it launched, too
+    python benchmarks/tower.py --person every --launched 3:8  # all eight, a cell each, these scenes of it launched, too
     python benchmarks/tower.py --person random              # three drawn for each scene, one after the other
     python benchmarks/tower.py --without skills             # no context from the builder and the skills node
     python benchmarks/tower.py --set cubes=6 --set tower='[[3, 1, 4], [2, 5, 6]]'
@@ -130,7 +130,7 @@ def _read(arguments: list[str] | None) -> tuple[argparse.Namespace, dict[str, st
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=how, allow_abbrev=False)
     parser.add_argument("--scenes", default="0:20", help="from one to below another one")
     parser.add_argument("--launch", action="store_true", help="each node in a process of its own")
-    parser.add_argument("--launched", type=int, default=0, help="so many of a cell's scenes are launched after it, too")
+    parser.add_argument("--launched", help="from one to below another one of a cell's scenes, launched after it, too")
     parser.add_argument("--jobs", type=int, default=1, help="so many scenes at a time; those launched too, one by one")
     parser.add_argument("--builder", default=REACTIVE, help="one, or several separated by commas")
     parser.add_argument("--person", default=NONE, help=f"likewise: {NONE}, {', '.join(ACTS)}, {EVERY}, {RANDOM}")
@@ -139,13 +139,14 @@ def _read(arguments: list[str] | None) -> tuple[argparse.Namespace, dict[str, st
     parser.add_argument("--least", type=int, help="so many scenes of a cell have to be done; if not given, all")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="add rows to it, and take those that are there")
     options = parser.parse_args(arguments)
-    scenes = scenes_of(options, parser)
-    if options.jobs < 1 or options.launched < 0:
-        parser.error("--jobs: expected 1 or more, and --launched 0 or more")
+    scenes = scenes_of(options.scenes, parser)
+    if options.jobs < 1:
+        parser.error("--jobs: expected 1 or more")
     if options.launch and options.launched:
         parser.error("--launched compares launches with runs; --launch makes no runs")
-    given = given_of(options, parser, OWN)
-    return options, given, scenes
+    if options.launched is not None:
+        options.launched = scenes_of(options.launched, parser, "--launched")
+    return options, given_of(options, parser, OWN), scenes
 
 
 def _cell(cell: dict[str, str], scenes: range, kept: Kept, options: argparse.Namespace) -> bool:
@@ -161,7 +162,8 @@ def _cell(cell: dict[str, str], scenes: range, kept: Kept, options: argparse.Nam
         missing = len(scenes) - len(rows) if len(spared) <= len(scenes) else 0
         following = range(following.stop, following.stop + missing)
     print(_summed_up(rows, spared), flush=True)
-    alike = [_is_launched_alike(row, kept) for row in rows[: options.launched]]  # each is told
+    launched = () if options.launched is None else options.launched
+    alike = [_is_launched_alike(row, kept) for row in rows + spared if int(row.set_to["scene"]) in launched]
     least = len(scenes) if options.least is None else options.least
     return all(alike) and sum(row.done for row in rows) >= least
 

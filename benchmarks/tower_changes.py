@@ -45,7 +45,7 @@ def main() -> int:
     options = parser.parse_args()
     print(f"{'scene':>5} {'launch':9} {'epochs':>6} {'done':>5} {'digest':>7}", flush=True)
     right = True
-    for scene in scenes_of(options, parser):
+    for scene in scenes_of(options.scenes, parser):
         arguments = words(settings({"person": options.person}, scene))
         alone = hierax("run", *arguments)
         right &= told(scene, "killed", killed(arguments, alone["epochs"]), alone)

@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.jobs < 1:
         parser.error("--jobs: expected 1 or more")
-    scenes, given = scenes_of(options, parser), given_of(options, parser, OWN)
+    scenes, given = scenes_of(options.scenes, parser), given_of(options, parser, OWN)
     each = [settings({**given, "person": options.person}, scene, options.without) for scene in scenes]
     kept = Kept(options.keep, Outcome, lambda outcome: _key(outcome.set_to))
     spawn = get_context("spawn")  # each scene begins in a process that knows nothing of another one

@@ -35,14 +35,15 @@ CONTEXTS = {
 is expected to be seen as if it were alone."""
 
 
-def scenes_of(options: argparse.Namespace, parser: argparse.ArgumentParser) -> range:
-    """The scenes of ``--scenes``. Ends the program where there are none."""
+def scenes_of(said: str, parser: argparse.ArgumentParser, option: str = "--scenes") -> range:
+    """The scenes that an option says. Ends the program where there are none."""
+    first, _, above = said.partition(":")
     try:
-        scenes = range(*map(int, options.scenes.split(":", maxsplit=1)))
+        scenes = range(int(first), int(above))
     except ValueError:
         scenes = range(0)
     if not scenes:
-        parser.error(f"--scenes {options.scenes}: expected the first scene and one above the last, such as 0:20")
+        parser.error(f"{option} {said}: expected the first scene and one above the last, such as 0:20")
     return scenes
 
 

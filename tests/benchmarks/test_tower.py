@@ -74,8 +74,8 @@ def test_a_scene_that_is_not_done_and_a_launch_with_another_digest_are_told(
     assert "0 of 1 done" in capsys.readouterr().out
     assert tower.main(["--scenes", "6:9", "--least", "2"]) == 0
     assert tower.main(["--scenes", "6:9", "--least", "3"]) == 1
-    assert tower.main(["--scenes", "5:7", "--launched", "2"]) == 0
-    assert tower.main(["--scenes", "8:10", "--launched", "2"]) == 1
+    assert tower.main(["--scenes", "5:7", "--launched", "5:7"]) == 0
+    assert tower.main(["--scenes", "8:10", "--launched", "8:10"]) == 1
     told = capsys.readouterr().out
     assert (told.count("launched, equal"), told.count("launched, OTHER DIGEST")) == (3, 1)
 
@@ -86,13 +86,15 @@ def test_where_nothing_happens_another_scene_is_run(ran: Ran, capsys: pytest.Cap
     assert tower.main(["--scenes", "2:4", "--person", "knock"]) == 0
     assert "2 of 2 done; not counted: 3, where not all happened" in capsys.readouterr().out
     assert [set_to["scene"] for _, set_to in ran] == ["2", "3", "2", "3", "4"]
+    assert tower.main(["--scenes", "2:4", "--person", "knock", "--launched", "3:5"]) == 0
+    assert [set_to["scene"] for command, set_to in ran if command == "launch"] == ["4", "3"]
     assert tower.main(["--scenes", "3:7", "--person", "knock"]) == 1, "scene 7, in the place of 3, is not done"
 
 
 def test_it_goes_on_where_it_was_ended(ran: Ran, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keep = tmp_path / "rows.jsonl"
     assert tower.main(["--scenes", "0:2", "--keep", str(keep)]) == 0
-    assert tower.main(["--scenes", "0:4", "--launched", "1", "--keep", str(keep)]) == 0
+    assert tower.main(["--scenes", "0:4", "--launched", "0:1", "--keep", str(keep)]) == 0
     assert [(command, set_to["scene"]) for command, set_to in ran] == [
         *(("run", scene) for scene in "0123"),
         ("launch", "0"),
@@ -128,11 +130,13 @@ def test_what_is_no_row_is_named(ran: Ran, tmp_path: Path, spoil: Callable[[str]
     ("words", "said"),
     [
         (["--scenes", "3:3"], "expected the first scene and one above the last"),
+        (["--scenes", "3"], "expected the first scene and one above the last"),
         (["--scenes", "a:b"], "expected the first scene and one above the last"),
         (["--set", "cubes"], "expected PATH=VALUE"),
         (["--set", "person=knock"], "the option of that name"),
         (["--jobs", "0"], "expected 1 or more"),
-        (["--launch", "--launched", "2"], "makes no runs"),
+        (["--launch", "--launched", "0:2"], "makes no runs"),
+        (["--launched", "2"], "--launched 2: expected the first scene"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(
