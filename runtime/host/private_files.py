@@ -124,7 +124,8 @@ def open_result(path: Path | str, append: bool = False, private: bool = False) -
     with _links_named(path):
         file = os.open(path, flags, FILE_MODE if private else 0o666)
     with closed_on_error(file):
-        _own(file, path)
+        if _own(file, path).st_mode & 0o077 and private:  # it was there before
+            os.fchmod(file, FILE_MODE)
     return file
 
 

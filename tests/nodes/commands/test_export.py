@@ -91,6 +91,9 @@ def test_a_secret_file_is_for_its_user_alone(tmp_path: Path) -> None:
     own.write_text(f"{text}\nzenoh: {{transport: {{auth: {{usrpwd: {{user: me, password: hidden}}}}}}}}\n")
     path = exported("kubernetes", str(own), tmp_path / "out") / "hierax-servo.yaml"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    path.chmod(0o644)  # as one is in which there was no secret yet
+    exported("kubernetes", str(own), tmp_path / "out", "--overwrite")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
 @pytest.mark.parametrize(

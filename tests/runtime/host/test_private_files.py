@@ -46,6 +46,16 @@ def test_a_file_that_others_can_read_is_theirs_no_more(tmp_path: Path) -> None:
     assert mode(tmp_path / "old") == 0o600
 
 
+def test_what_is_written_for_a_user_is_for_others_too_unless_it_is_private(tmp_path: Path) -> None:
+    path = tmp_path / "old"
+    path.write_text("x")
+    path.chmod(0o644)
+    os.close(open_result(path))
+    assert mode(path) == 0o644
+    os.close(open_result(path, private=True))
+    assert mode(path) == 0o600
+
+
 @pytest.mark.parametrize("open_", [0o777, 0o770, 0o1777])
 def test_a_folder_that_others_may_write_is_refused(tmp_path: Path, open_: int) -> None:
     folder = tmp_path / "folder"
