@@ -9,6 +9,7 @@ its private key. In memory, a secret is the same text without the user.
 
 import os
 import re
+import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timedelta, timezone
@@ -103,9 +104,11 @@ def key_text(secret: str) -> bytes:
 
 def read_key(path: Path) -> str:
     """The secret in a key. Raises `HieraxError` if it is none, or others than this user may read it."""
-    with errors_named(path, "read"), path.open("rb") as file:
-        mode = os.fstat(file.fileno()).st_mode & 0o777
-        text = file.read(_LONGEST + 1).decode(errors="replace")
+    with errors_named(path, "read"), open(path, "rb", opener=_opened_at_once) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise HieraxError(f"{path}: is no file; expected the key of a run")
+        mode, text = found.st_mode & 0o777, file.read(_LONGEST + 1).decode(errors="replace")
     if mode & 0o077:
         raise HieraxError(f"{path}: others may read it (mode {mode:04o}); expected a key for you alone: chmod 600")
     line, _, certificates = text.partition("\n")
@@ -114,6 +117,10 @@ def read_key(path: Path) -> str:
     if user != USER or len(text) > _LONGEST or not is_secret(secret):
         raise HieraxError(f"{path}: expected the key of a run, a line '{USER}:…', as its launch has written it")
     return secret
+
+
+def _opened_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)  # what is no file might be waited for
 
 
 def is_secret(value: object) -> bool:
