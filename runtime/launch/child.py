@@ -342,7 +342,12 @@ async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing, f
 def how_ended(code: int | None) -> str:
     if code is None:
         return "without an exit code"
-    return f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+    if code >= 0:
+        return f"with exit code {code}"
+    try:
+        return f"by signal {signal.Signals(-code).name}"
+    except ValueError:  # most of the real-time ones have no names
+        return f"by signal {-code}"
 
 
 class Restarts:

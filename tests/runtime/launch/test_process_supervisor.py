@@ -21,7 +21,15 @@ from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.launch import child as child_module
 from hierax.runtime.launch.attached_processes import AttachedProcesses
-from hierax.runtime.launch.child import Child, NodeProcess, Overheard, Overhearing, ProcessState, start_process
+from hierax.runtime.launch.child import (
+    Child,
+    NodeProcess,
+    Overheard,
+    Overhearing,
+    ProcessState,
+    how_ended,
+    start_process,
+)
 from hierax.runtime.launch.far_host import FarChild, FarHost, FarProcess
 from hierax.runtime.launch.fork_server import UNKNOWN, ForkServer
 from hierax.runtime.launch.frames import BEGIN, Frames, NodeOrder
@@ -203,6 +211,11 @@ def test_the_number_of_a_process_on_another_host_is_nobody_s_here(
     child.close()
     other.terminate()
     assert other.wait() == -signal.SIGTERM
+
+
+@pytest.mark.parametrize(("code", "how"), [(0, "with exit code 0"), (-9, "by signal SIGKILL"), (-35, "by signal 35")])
+def test_how_a_process_has_ended_is_told_also_of_signals_without_a_name(code: int, how: str) -> None:
+    assert how_ended(code) == how
 
 
 def test_of_processes_that_are_past_the_last_ones_are_remembered(tmp_path: Path) -> None:
