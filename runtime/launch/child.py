@@ -273,6 +273,11 @@ class Child:
         """Whether its host says nothing at this moment."""
         return False
 
+    @property
+    def is_far(self) -> bool:
+        """Whether what it says comes from another machine, which may be somebody else's by now."""
+        return False
+
     def release(self) -> None:
         """Let go of what is held for the node: its process has ended, and another one may come."""
 

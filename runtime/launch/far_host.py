@@ -19,14 +19,15 @@ from hierax.runtime.execution.output_folder import Log, digest_log, state_log
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.launch.child import Child, Overheard, Overhearing
-from hierax.runtime.launch.frames import APPEND, BEGIN, KEEP, KEPT, LOG, STATES, NodeOrder, frame
+from hierax.runtime.launch.frames import APPEND, BEGIN, KEEP, KEPT, LOG, REPORT, STATES, NodeOrder, frame
 from hierax.runtime.launch.keeper import BEAT_S
 from hierax.runtime.launch.keeper_link import Greeting, KeeperLink
 from hierax.runtime.launch.pipes import read_some, write_whole
 from hierax.runtime.recovery.disk import SLOTS, MappedFile
 from hierax.runtime.recovery.slots import without_padding
+from hierax.runtime.transport.node_answers import is_report
 from hierax.runtime.watch.logs import ForwardedLog
-from hierax.schemas.errors import SchemaError
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.values import Value
 
 SILENT_S = 2.0  # for how long nothing is heard of a host until people are told so
@@ -35,6 +36,13 @@ REDIAL_S = 1.0  # how long it takes until a host that is lost is called again
 
 _KILLED = -signal.SIGKILL
 _SHARE = 0.7  # of `Host.lost_after_s`, after which a keeper gives the launch up: it has ended its processes by then
+
+# the fields of what a keeper says
+_FIELDS: Mapping[str, type] = {
+    **dict.fromkeys(("printed", "line", "refused", "started", "from", "ended"), str),
+    **dict.fromkeys(("pid", "code"), int),
+    "data": bytes,
+}
 
 Notify = Callable[[str], None]
 
@@ -144,13 +152,17 @@ class FarHost:
                 for value in link.frames.feed(data):
                     self._heard_s = self._clock()
                     self._take(value, overhearing)
-            except (SchemaError, KeyError, TypeError) as error:
+            except (SchemaError, KeyError) as error:
                 return f"its keeper says what cannot be read: {error}"
 
-    def _take(self, value: Mapping[str, Any], overhearing: Overhearing) -> None:
+    def _take(self, value: Value, overhearing: Overhearing) -> None:
+        if type(value) is not dict or any(
+            type(each) is not _FIELDS.get(name, type(each)) for name, each in value.items()
+        ):
+            raise SchemaError(f"expected a map as keepers say it, got {shown(value)}", "keeper")
         if "printed" in value:
             overhearing.note(value["printed"], value["line"])
-        if isinstance(value.get("refused"), str):
+        if "refused" in value:
             overhearing.refused(value["refused"])
         for kind in ("started", "from", "ended"):
             children = self._processes.get(value.get(kind, ""))
@@ -212,6 +224,10 @@ class FarChild(Child):
     def is_silent(self) -> bool:
         return self.alive and self._far.is_silent
 
+    @property
+    def is_far(self) -> bool:
+        return True
+
     def far_order(self, host: Host, greeting: Greeting) -> NodeOrder:
         """The order as the process there gets it."""
         assert self._storage is not None
@@ -233,6 +249,8 @@ class FarChild(Child):
 
     def take(self, value: Mapping[str, Any]) -> bool:
         status = value["status"]
+        if status == REPORT and not is_report(value):
+            raise SchemaError(f"expected a report, got {shown(value)}", "pipe")
         if status == KEEP:
             self._keep(value["number"], value["slot"], value["data"])
         elif status == LOG:

@@ -97,20 +97,40 @@ class ProcessSupervisor(ABC):
 
     async def _listen(self, children: Sequence[Child]) -> None:
         frames, by_token = Frames(), {child.token: child for child in children}
+        is_garbled = False
 
         async def take(data: bytes) -> None:
-            for value in frames.feed(data):
-                child = by_token[value["from"]]
-                if value["status"] == ENDED:
-                    child.code = value["code"]
-                    self.tasks.start_soon(self._on_ends, [child])
-                elif not child.take(value):
-                    self._take(child, value)
+            nonlocal is_garbled
+            try:
+                for value in () if is_garbled else frames.feed(data):
+                    self._hear(by_token[value["from"]], value)
+            except HieraxError:
+                raise
+            except Exception as error:  # a host may say anything
+                if not children[0].is_far:
+                    raise
+                is_garbled = True
+                self._give_up(children, error)
 
         await children[0].listen(take)
         if children[0].process.returncode is not None:  # else it has to be killed at the end
             children[0].close()  # now: a run may have any number of processes, one after the other
         await self._on_ends([child for child in children if child.code is None])
+
+    def _hear(self, child: Child, value: dict[str, Any]) -> None:
+        if value["status"] == ENDED:
+            child.code = int(value["code"])
+            self.tasks.start_soon(self._on_ends, [child])
+        elif not child.take(value):
+            self._take(child, value)
+
+    def _give_up(self, children: Sequence[Child], error: Exception) -> None:
+        """What a process on another host says cannot be read, nor what it would say further: it counts as lost."""
+        first = children[0]
+        what = f"what it says cannot be read ({type(error).__name__}: {error})"
+        self.notify(f"{first.order.shares or first.name}: its process on host {first.host} is killed: {what}")
+        for child in children:
+            child.kill()
 
     async def _on_ends(self, children: Sequence[Child]) -> None:
         for child in children:

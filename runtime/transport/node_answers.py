@@ -4,6 +4,8 @@ Looked at is what tools make use of. What else is in an answer, and what a node 
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from hierax.runtime.core.probe import Step
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import is_name
@@ -18,6 +20,11 @@ _MOST = 1 << 63  # no figure is larger, so that sums and rates of them are finit
 def is_answer(look: str, answer: Mapping[str, Value]) -> bool:
     """Whether an answer has the shape that the question of a name, one of the inspection server's, has it."""
     return _ANSWERS[look](answer)
+
+
+def is_report(said: Mapping[str, Value]) -> bool:
+    """Whether the last word of a node's process has the shape that a run's report is made of."""
+    return _REPORT(said)
 
 
 def _is_anything(value: Value) -> bool:
@@ -91,6 +98,15 @@ def _is_state(value: Value) -> bool:
     return _STATE(value) and ("sensed" not in value or _STEP(value))
 
 
+def _is_run(value: Value) -> bool:
+    """What a world's process reports: the epochs, the last digest, and the seconds of all and of each."""
+    if not isinstance(value, tuple) or len(value) != 4:
+        return False
+    epochs, digest, wall_s, took_s = value
+    is_array = isinstance(took_s, np.ndarray) and took_s.ndim == 1 and took_s.dtype == np.float64
+    return _is_count(epochs) and isinstance(digest, bytes) and _is_figure(wall_s) and is_array
+
+
 def _is_committed(value: Value) -> bool:
     return value is None or isinstance(value, bool)
 
@@ -145,6 +161,17 @@ _STEP = _has(
     **dict.fromkeys(Step._fields, _is_anything)
     | {"attempt": _is_count, "time_s": _is_figure}
     | dict.fromkeys(("observations", "tasks", "context"), _ELEMENTS),
+)
+_REPORT = _both(
+    _has(
+        epoch=_is_count,
+        attempt=_is_count,
+        belief=_is_anything,
+        policy=_is_text,
+        actions=_ELEMENTS,
+        metrics=_map_of(_is_anything),
+    ),
+    _may_have(run=_is_run, timing=_TIMING),
 )
 _ANSWERS: Mapping[str, Fits] = {
     "meter": _both(_METER, _may_have(in_force=_map_of(_is_count, is_name), timing=_TIMING)),

@@ -32,10 +32,11 @@ from hierax.runtime.launch.child import (
 )
 from hierax.runtime.launch.far_host import FarChild, FarHost, FarProcess
 from hierax.runtime.launch.fork_server import UNKNOWN, ForkServer
-from hierax.runtime.launch.frames import BEGIN, Frames, NodeOrder
+from hierax.runtime.launch.frames import BEGIN, Frames, NodeOrder, frame
 from hierax.runtime.launch.keeper import Keeper
 from hierax.runtime.launch.orders import LaunchOptions, Orders
 from hierax.runtime.launch.process_supervisor import PAST, ProcessSupervisor
+from hierax.schemas.errors import SchemaError
 
 
 class Noting(ProcessSupervisor):
@@ -211,6 +212,91 @@ def test_the_number_of_a_process_on_another_host_is_nobody_s_here(
     child.close()
     other.terminate()
     assert other.wait() == -signal.SIGTERM
+
+
+def said(**fields: Any) -> bytes:
+    return frame({"from": "w", **fields})
+
+
+GARBLED = {
+    "no frame": b"\xff" * 64,
+    "no value": b"\x01\0\0\0\xc1",
+    "no map": frame("hello"),
+    "no status": said(),
+    "of another process": frame({"from": "x", "status": "up"}),
+    "no slot": said(status="keep", number=1, slot=7, data=b"x"),
+    "no record": said(status="keep", number=1, slot=1, data="x"),
+    "no line": said(status="failed"),
+    "no entry": said(status="append", kind={}, fields=["a"]),
+    "no report": said(status="report", belief=None),
+    "no figures": said(
+        status="report", belief=0, policy="", actions=(), metrics={}, epoch=1, attempt=0, run=[1, "a", 0.0, 2]
+    ),
+}
+
+
+@pytest.mark.parametrize("what", GARBLED)
+def test_a_process_on_another_host_that_says_what_cannot_be_read_is_lost_and_nothing_else(
+    what: str, tmp_path: Path
+) -> None:
+    async def main() -> None:
+        async with anyio.create_task_group() as tasks:
+            told: list[Any] = []
+            process = FarProcess("w", told.append)
+            child = FarChild(order(tmp_path), process, cast(FarHost, AnyHost()))
+            process.hear({"from": "w", "data": said(status="up")})
+            process.hear({"from": "w", "data": GARBLED[what]})
+            process.hear({"from": "w", "data": GARBLED[what]})  # nothing is made of what follows
+
+            class Far(Noting):
+                async def _begin(self, orders: Sequence[NodeOrder]) -> list[Child]:
+                    return [child]
+
+            supervisor = Far(tasks)
+            notes: list[str] = []
+            supervisor.notify = notes.append
+            await supervisor.start(order(tmp_path))
+            with anyio.fail_after(60):
+                await supervisor.ended.wait()
+            assert supervisor.ends == [("world", ProcessState.ENDED, "world: its process ended by signal SIGKILL")]
+            assert (child.came_up, told) == (True, [{"signal": "w", "number": 9}])
+            (note,) = notes
+            assert note.startswith("world: its process on host far is killed: what it says cannot be read (")
+            process.close()
+            supervisor.close()
+        supervisor.overhearing.close()
+
+    anyio.run(main)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "hello",
+        5,
+        {"printed": 5, "line": "x"},
+        {"printed": "low"},
+        {"started": "w", "pid": "x"},
+        {"started": "w"},
+        {"from": "w", "data": 5},
+        {"from": {}, "data": b""},
+        {"ended": "w", "code": "x"},
+        {"ended": "w"},
+    ],
+)
+def test_a_keeper_that_says_what_cannot_be_read_is_lost(value: Any, tmp_path: Path) -> None:
+    """What `FarHost` makes of these errors is the loss of the host."""
+    process = FarProcess("w", lambda value: None)
+    child = FarChild(order(tmp_path), process, cast(FarHost, AnyHost()))
+    far = FarHost.__new__(FarHost)  # without a link
+    far._processes = {"w": [child]}
+    overhearing = Overhearing("0", lambda: 0)
+    with pytest.raises((SchemaError, KeyError)):
+        far._take(value, overhearing)
+    overhearing.close()
+    process.end(0)
+    process.close()
+    child.close()
 
 
 @pytest.mark.parametrize(("code", "how"), [(0, "with exit code 0"), (-9, "by signal SIGKILL"), (-35, "by signal 35")])
