@@ -103,8 +103,6 @@ def _write_epoch(topics: _Topics, name: str, epoch: EpochTrace, poses: str) -> b
 
 
 def _write_picture(topics: _Topics, where: str, header: Header, shot: Shot, image: Array) -> None:
-    if image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)) or not image.size:
-        raise DataError(f"{where}: image: expected gray (h, w) or RGB (h, w, 3), got {image.shape}")
     if image.dtype != np.uint8 and image.ndim == 3:
         raise DataError(f"{where}: image: has 16 bits and colours; expected gray, or 8 bits")
     encoding = "rgb8" if image.ndim == 3 else "mono8" if image.dtype == np.uint8 else "16UC1"

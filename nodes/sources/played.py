@@ -30,7 +30,7 @@ class Folder(Source):
         if not found:
             beside = "; a scene in the BOP format is scene=…" if (path / "scene_camera.json").exists() else ""
             raise DataError(f"{path}: no images in it; expected some of {', '.join(SUFFIXES)}{beside}")
-        self._files = sorted(found, key=_by_number)
+        self._files = sorted(sorted(found), key=_by_number)  # also of 1.png and 01.png one is always the first
         self._images = ReadAhead(self._files, read_deep_image)
 
     def shot(self, belief: Seen) -> Shot:

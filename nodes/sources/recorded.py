@@ -79,8 +79,10 @@ def shot_of(recording: str, epoch: EpochTrace) -> Shot:
         raise DataError(f"{where}: {world} showed no picture; expected image, camera, intrinsics and frame") from error
     if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16) or type(frame) is not int:
         raise DataError(f"{where}: image: expected 8 or 16 bits a pixel, and a frame's number")
-    if camera.shape != (4, 4) or intrinsics.shape != (4,):
-        raise DataError(f"{where}: camera, intrinsics: expected 4 × 4 and 4 numbers")
+    if image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)) or not image.size:
+        raise DataError(f"{where}: image: expected gray (h, w) or RGB (h, w, 3), got {image.shape}")
+    if camera.shape != (4, 4) or intrinsics.shape != (4,) or not np.isfinite([*camera.flat, *intrinsics]).all():
+        raise DataError(f"{where}: camera, intrinsics: expected 4 × 4 and 4 finite numbers")
     header = picture.get("header")
     if header is not None and not _is_header(header):
         raise DataError(f"{where}: header: expected stamp_ns and frame_id")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -19,6 +20,9 @@ from hierax.nodes.sources.calibration import write_calibration
 from hierax.nodes.sources.camera import CameraWorld, picture_seen
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import Array, write_picture
+from hierax.nodes.sources.played import Folder
+from hierax.nodes.sources.recorded import shot_of
+from hierax.runtime.recording.trace import EpochTrace
 from hierax.runtime.recording.writing import ENDING
 from hierax.runtime.testing.node import check_node
 
@@ -261,3 +265,44 @@ def test_that_no_frame_told_where_the_camera_is_has_a_line(folder: Path, caplog:
         assert picture_seen(belief) == ()
         belief = world.predict((), (), belief)
     assert "shots: has ended, and no frame told where the camera is, so nothing was observed" in caplog.text
+
+
+def test_files_of_one_number_are_in_one_order_however_they_are_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = ["001.png", "01.png", "1.png", "2.png"]
+    for listed in itertools.permutations(expected):
+        monkeypatch.setattr(Path, "iterdir", lambda folder, listed=listed: map(folder.joinpath, listed))
+        assert [path.name for path in Folder(tmp_path, 30.0)._files] == expected
+
+
+class Epoch:
+    """An epoch of a recording in which the world has shown this."""
+
+    class edge:  # noqa: N801 - stands for an object, as the next one
+        lower, pair = "world", ("world", "eye")
+
+    class roster:  # noqa: N801
+        world = "world"
+
+    def __init__(self, **picture: Any) -> None:
+        self.roster.edges = (self.edge,)  # type: ignore[attr-defined]
+        self.epoch, self.time_s, self._picture = 7, 0.0, picture
+
+    def elements(self, *line: str) -> tuple[Any, ...]:
+        return (self._picture,)
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (0, 3), (4, 4, 2), (2, 3, 4, 1)])
+def test_a_recordings_picture_of_another_shape_is_told(shape: tuple[int, ...]) -> None:
+    picture = {"image": np.zeros(shape, np.uint8), "frame": 0, "camera": np.eye(4), "intrinsics": np.ones(4)}
+    with pytest.raises(DataError, match=r"run\.mcap: epoch 7: image: expected gray \(h, w\) or RGB \(h, w, 3\), got"):
+        shot_of("run.mcap", cast(EpochTrace, Epoch(**picture)))
+
+
+@pytest.mark.parametrize(("camera", "intrinsics"), [(np.nan, 1.0), (1.0, np.inf)])
+def test_a_recordings_camera_without_finite_numbers_is_told(camera: float, intrinsics: float) -> None:
+    picture = {"image": np.zeros((4, 4), np.uint8), "frame": 0}
+    placed = {"camera": np.full((4, 4), camera), "intrinsics": np.full(4, intrinsics)}
+    with pytest.raises(DataError, match="camera, intrinsics: expected 4 × 4 and 4 finite numbers"):
+        shot_of("run.mcap", cast(EpochTrace, Epoch(**picture, **placed)))
