@@ -27,7 +27,7 @@ class Transforms:
             parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
             place, turn = each.transform.translation, each.transform.rotation
             numbers = np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
-            if not np.isfinite(numbers).all() or not numbers[3:].any():
+            if not np.isfinite(numbers).all() or not np.square(numbers[3:]).any():  # as what is tiny has no direction
                 continue
             pose = make_pose(rotation_of(numbers[3:]), numbers[:3])
             if static:

@@ -18,6 +18,7 @@ from hierax.nodes.ros2.live import TopicFrames, plain
 from hierax.nodes.ros2.messages import decoded
 from hierax.nodes.ros2.topics import Came
 from hierax.nodes.ros2.tracked import MARKERS, meshes
+from hierax.nodes.ros2.transforms import Transforms
 from hierax.nodes.ros2.world import TopicsWorld, topics_heard
 from hierax.nodes.sources.calibration import Lens
 from hierax.nodes.sources.camera import CameraWorld, picture_seen
@@ -242,6 +243,16 @@ def test_topics_that_belong_together_are_shown_together(where: str, talker: Talk
         assert belief["frame"] > before["frame"]
     with pytest.raises(ValueError, match="expected all of one carrier"):
         TopicsWorld({"one": "ros:/one", "two": "ros+zenoh:/two"})
+
+
+@pytest.mark.parametrize("tiny", [0.0, 1e-320, 1e-170])
+def test_a_transform_whose_turn_is_none_is_passed_over(tiny: float) -> None:
+    known = Transforms()
+    known.add(transforms(0, "hand", "lens", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.5)), static=True)
+    known.add(transforms(0, "hand", "lens", (0.0, 0.0, 2.0), (tiny, 0.0, 0.0, 0.0)), static=True)
+    found = known.find("hand", "lens", 0)
+    assert found is not None
+    np.testing.assert_array_equal(found[:3, 3], [0.0, 0.0, 1.0])
 
 
 def test_depth_of_a_topic_is_shown_where_that_is_asked_for(where: str, talker: Talker) -> None:
