@@ -21,6 +21,7 @@ import zenoh.ext
 from hierax.nodes.ros2.carrier import Carrier, Heard, Qos, domain
 from hierax.nodes.ros2.messages import messages
 from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.shots import MAX_STAMP_NS
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import close_session, open_session
 
@@ -80,11 +81,14 @@ def attachment_of(number: int, sent_ns: int, gid: bytes) -> bytes:
 
 
 def sent_at(attachment: bytes) -> int | None:
-    """When a message was sent, ns since 1970, by its attachment; None: it says nothing of that."""
+    """When a message was sent, ns since 1970, by its attachment; None: it says nothing of that, or no time that ROS
+    has."""
     if len(attachment) == _ATTACHMENT.size:
-        return int(_ATTACHMENT.unpack(attachment)[1])
-    number = attachment.partition(_SENT)[2][:8]
-    return int.from_bytes(number, "little", signed=True) if len(number) == 8 else None
+        sent_ns = int(_ATTACHMENT.unpack(attachment)[1])
+    else:
+        number = attachment.partition(_SENT)[2][:8]
+        sent_ns = int.from_bytes(number, "little", signed=True) if len(number) == 8 else -1
+    return sent_ns if 0 <= sent_ns < MAX_STAMP_NS else None
 
 
 class ZenohCarrier(Carrier):
@@ -100,7 +104,7 @@ class ZenohCarrier(Carrier):
         self._where, self._node, self._domain = where, node, domain()
         self._gid: Callable[[str], bytes] = lambda token: int(xxhash.xxh3_128_intdigest(token)).to_bytes(16, "little")
         self._router = router or ROUTER
-        settings = os.environ.get("ZENOH_SESSION_CONFIG_URI")
+        settings = os.environ.get("ZENOH_SESSION_CONFIG_URI") or {}  # and not ZENOH_CONFIG, which is for the launch
         try:
             self._session = open_session(connect=[f"tcp/{self._router}"], zenoh_config=settings, shared_memory=False)
         except TransportError as error:

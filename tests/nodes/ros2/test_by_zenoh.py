@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import pytest
 import xxhash
@@ -64,6 +65,20 @@ def test_attachments_have_33_bytes_and_those_of_old_are_read() -> None:
     assert sent_at(old + b"\x0asource_gid\x10" + gid) == 99
     for cut in (b"", attachment[:9], old[:-3], b"x" * 40):
         assert sent_at(cut) is None
+
+
+@pytest.mark.parametrize("sent_ns", [-1, 2**31 * 10**9, -(2**63), 2**63 - 1])
+def test_a_time_of_sending_that_ros_does_not_have_is_none(sent_ns: int) -> None:
+    """It would stand in for the stamp of what has none, and could not be published."""
+    assert sent_at(struct.pack("<qq", 7, sent_ns) + b"\x10" + bytes(16)) is None
+    assert sent_at(b"\x10source_timestamp" + struct.pack("<q", sent_ns)) is None
+
+
+def test_settings_of_a_launch_are_not_those_of_ros(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "launch.json5").write_text('{connect: {endpoints: ["tcp/127.0.0.1:9"], timeout_ms: 1}}')
+    monkeypatch.setenv("ZENOH_CONFIG", str(tmp_path / "launch.json5"))
+    with router() as where, Talker(where) as one:
+        until(lambda: not one.carrier.unreached(), "the router of the topic's name")
 
 
 def test_two_ends_hear_one_another_and_who_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
