@@ -23,7 +23,7 @@ from hierax.nodes.ros2.messages import messages
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.shots import MAX_STAMP_NS
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import close_session, open_session
+from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 
 ROUTER = "localhost:7447"  # where `rmw_zenohd` listens
 _SPACE = "@ros2_lv"
@@ -104,7 +104,8 @@ class ZenohCarrier(Carrier):
         self._where, self._node, self._domain = where, node, domain()
         self._gid: Callable[[str], bytes] = lambda token: int(xxhash.xxh3_128_intdigest(token)).to_bytes(16, "little")
         self._router = router or ROUTER
-        settings = os.environ.get("ZENOH_SESSION_CONFIG_URI") or {}  # and not ZENOH_CONFIG, which is for the launch
+        # without a file of ROS's own: Zenoh's defaults, and not ZENOH_CONFIG, which is for the launch
+        settings: ZenohConfig = os.environ.get("ZENOH_SESSION_CONFIG_URI") or {}
         try:
             self._session = open_session(connect=[f"tcp/{self._router}"], zenoh_config=settings, shared_memory=False)
         except TransportError as error:
