@@ -17,9 +17,10 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import Host
 from hierax.runtime.execution.output_folder import Log, digest_log, state_log
 from hierax.runtime.execution.pacemaker import SteadyClock
+from hierax.runtime.host.private_files import errors_named
 from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.launch.child import Child, Overheard, Overhearing
-from hierax.runtime.launch.frames import APPEND, BEGIN, KEEP, KEPT, LOG, REPORT, STATES, NodeOrder, frame
+from hierax.runtime.launch.frames import APPEND, BEGIN, DIGESTS, KEEP, KEPT, LOG, REPORT, STATES, NodeOrder, frame
 from hierax.runtime.launch.keeper import BEAT_S
 from hierax.runtime.launch.keeper_link import Greeting, KeeperLink
 from hierax.runtime.launch.pipes import read_some, write_whole
@@ -75,7 +76,8 @@ class FarHost:
             self._outgoing.send_nowait(frame(value))
 
     def start(self, orders: Sequence[NodeOrder]) -> list[Child]:
-        """Start the process of some orders. Raises `HieraxError` if a checkpoint of theirs cannot be opened here."""
+        """Start the process of some orders. Raises `HieraxError` if a checkpoint of theirs, or a file with Zenoh's
+        settings, cannot be read here."""
         process = FarProcess(orders[0].process, self.say)
         children = [FarChild(order, process, self) for order in orders]
         for child in children if len(children) > 1 else ():
@@ -267,7 +269,10 @@ class FarChild(Child):
             self._storage.flush()
             self.far_process.say(frame((self.token, {KEPT: number})))
 
-    def _append(self, kind: str, fields: list[Any]) -> None:
+    def _append(self, kind: str, fields: Sequence[Any]) -> None:
+        may = (STATES, DIGESTS) if self.order.owner is not None else (STATES,)  # the world alone tells digests
+        if kind not in may or not all(type(field) in (int, bytes) for field in fields):
+            raise SchemaError(f"expected numbers and bytes for {' or '.join(may)}, got {shown(kind)}", "pipe")
         if kind not in self._output:
             output, again = self.order.output_path, self.order.life != BEGIN
             self._output[kind] = state_log(output, self.name, again) if kind == STATES else digest_log(output, again)
@@ -368,7 +373,8 @@ class _Unheard(Overheard):
 
 
 def _in_full(settings: Value) -> Value:
-    """Zenoh's settings, without a file of this machine."""
+    """Zenoh's settings, without a file of this machine. Raises `HieraxError` if that cannot be read any more."""
     if names_file(settings):
-        return Path(settings).read_text(encoding="utf-8")
+        with errors_named(settings, "read"):
+            return Path(settings).read_text(encoding="utf-8", errors="replace")
     return settings

@@ -17,7 +17,7 @@ import pytest
 from support.deployments import write
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.deployment.deployment import ProcessTerms
+from hierax.runtime.deployment.deployment import Host, ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.launch import child as child_module
 from hierax.runtime.launch.attached_processes import AttachedProcesses
@@ -34,6 +34,7 @@ from hierax.runtime.launch.far_host import FarChild, FarHost, FarProcess
 from hierax.runtime.launch.fork_server import UNKNOWN, ForkServer
 from hierax.runtime.launch.frames import BEGIN, Frames, NodeOrder, frame
 from hierax.runtime.launch.keeper import Keeper
+from hierax.runtime.launch.keeper_link import Greeting
 from hierax.runtime.launch.orders import LaunchOptions, Orders
 from hierax.runtime.launch.process_supervisor import PAST, ProcessSupervisor
 from hierax.schemas.errors import SchemaError
@@ -267,6 +268,32 @@ def test_a_process_on_another_host_that_says_what_cannot_be_read_is_lost_and_not
         supervisor.overhearing.close()
 
     anyio.run(main)
+
+
+def test_of_processes_on_other_hosts_the_worlds_alone_tells_the_digests_of_a_run(tmp_path: Path) -> None:
+    told = {"status": "append", "from": "w", "kind": "digests", "fields": [1, b"digest"]}
+    world = replace(order(tmp_path), output=str(tmp_path / "out"))
+    child = FarChild(world, cast(FarProcess, Ended(1, 0)), cast(FarHost, AnyHost()))
+    assert child.take(told)
+    child.close()
+    written = (tmp_path / "out" / "digests.msgpack").read_bytes()
+    assert b"digest" in written
+    node = replace(world, name="left", owner=None, checkpoint=str(tmp_path / "left"))
+    child = FarChild(node, cast(FarProcess, Ended(1, 0)), cast(FarHost, AnyHost()))
+    with pytest.raises(SchemaError, match="expected numbers and bytes for states, got 'digests'"):
+        child.take(told)
+    assert child.take({**told, "kind": "states"})
+    child.close()
+    assert (tmp_path / "out" / "digests.msgpack").read_bytes() == written
+
+
+def test_settings_that_cannot_be_read_any_more_are_told(tmp_path: Path) -> None:
+    there = replace(order(tmp_path), settings=str(tmp_path / "gone.json5"))
+    child = FarChild(there, cast(FarProcess, Ended(1, 0)), cast(FarHost, AnyHost()))
+    greeting = Greeting("1", "2", "127.0.0.1", "127.0.0.1")
+    with pytest.raises(HieraxError, match=r"gone\.json5: cannot be read: No such file or directory"):
+        child.far_order(Host("robot", ("robot",)), greeting)
+    child.close()
 
 
 @pytest.mark.parametrize(
