@@ -35,7 +35,7 @@ _ALIVE = ".lock"
 _KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "terms": dict, "coming": dict}
 _TEMPORARY = Path("/tmp")
 _PROBE = ".probe"  # written to see that it can be
-_LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
+_LOOPBACK = re.compile(r"[a-z]+/(127(\.\d+){3}|localhost|\[::1\])(:|$)")  # and not a name that begins so
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,15 @@ def forget(run: str) -> None:
 def key_path(run: str) -> Path:
     """Where the key of a run is, if that is closed, and known here."""
     paths = [folder / f"{run}{_KEY}" for folder in launch_folders()]
-    return next((path for path in paths if os.path.exists(path)), paths[0])  # Path's raises where one may not enter
+    return next(filter(_is_own, paths), paths[0])
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file is there that this user has written: others may have taken the folder, and names in it."""
+    try:
+        return os.lstat(path).st_uid == os.geteuid()
+    except OSError:
+        return False
 
 
 def is_loopback(endpoint: str) -> bool:

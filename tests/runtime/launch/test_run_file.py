@@ -16,6 +16,7 @@ from hierax.runtime.launch.run_file import (
     Running,
     has_run,
     held_state,
+    is_loopback,
     key_path,
     known_here,
     known_runs,
@@ -23,6 +24,7 @@ from hierax.runtime.launch.run_file import (
     outdate_run,
     read_run,
     register,
+    warning_of,
     write_run,
 )
 from hierax.runtime.recovery.disk import MappedFile
@@ -71,13 +73,30 @@ def test_a_squatted_folder_neither_blocks_nor_is_believed(temporary: Path) -> No
     squatted.mkdir(parents=True)
     false = {**vars(HERE), "run": "ffff0000"}
     (squatted / "ffff0000.json").write_text(json.dumps(false))
-    for path in (squatted.parent, squatted, squatted / "ffff0000.json"):
+    (squatted / "aaaa0000.key").write_text("hierax:cd34\n")
+    for path in (squatted.parent, squatted, *squatted.iterdir()):
         os.chown(path, NOBODY, NOBODY)
         path.chmod(0o777)
-    path = register(HERE)
+    path = register(HERE, SECRET)
     assert not path.is_relative_to(temporary)
-    assert [each.run for each in known_runs()] == ["aaaa0000"]
+    assert [(each.run, each.secret) for each in known_runs()] == [("aaaa0000", SECRET)]
     assert (squatted / "ffff0000.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "here"),
+    [
+        ("tcp/127.0.0.1:7447", True),
+        ("tls/[::1]:7447", True),
+        ("tcp/localhost:7447", True),
+        ("tcp/10.0.0.1:7447", False),
+        ("tcp/127.example.org:7447", False),
+        ("tcp/localhost.example.org:7447", False),
+    ],
+)
+def test_what_only_begins_like_the_loopback_is_another_machine(endpoint: str, here: bool) -> None:
+    assert is_loopback(endpoint) == here
+    assert ("insecure: true" in warning_of(endpoint, SECRET)) == (endpoint.startswith("tcp/") and not here)
 
 
 def test_a_link_among_them_is_not_followed(temporary: Path, tmp_path: Path) -> None:
