@@ -352,9 +352,9 @@ def orphaned_segments(folder: Path = _SHARED_MEMORY) -> list[Path]:
 
 def _is_orphaned(path: Path, remove: bool = False) -> bool:
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
-        return False  # gone already, or another user's
+        return False  # gone already, or another user's, or a link, which may lead anywhere
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if remove:

@@ -29,6 +29,7 @@ from hierax.runtime.transport.zenoh_session import (
     free_endpoint,
     knocking_at,
     open_session,
+    orphaned_segments,
     remove_orphaned_segments,
 )
 
@@ -214,6 +215,14 @@ def test_orphaned_segments_are_removed_and_those_in_use_are_not() -> None:
     child.communicate()
     remove_orphaned_segments()
     assert not any(segment.exists() for segment in used)
+
+
+def test_a_link_among_segments_is_not_followed(tmp_path: Path) -> None:
+    """In /dev/shm anybody may make one, to whatever is to be opened or locked."""
+    (tmp_path / "precious").touch()
+    (tmp_path / "link.zenoh").symlink_to(tmp_path / "precious")
+    (tmp_path / "left.zenoh").touch()
+    assert orphaned_segments(tmp_path) == [tmp_path / "left.zenoh"]
 
 
 def held_by(pid: int) -> set[Path]:
