@@ -29,6 +29,7 @@ from hierax.runtime.recovery.slots import without_padding
 from hierax.runtime.transport.node_answers import is_report
 from hierax.runtime.watch.logs import ForwardedLog
 from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.messages import TYPE_NAMES
 from hierax.schemas.values import Value
 
 SILENT_S = 2.0  # for how long nothing is heard of a host until people are told so
@@ -38,12 +39,21 @@ REDIAL_S = 1.0  # how long it takes until a host that is lost is called again
 _KILLED = -signal.SIGKILL
 _SHARE = 0.7  # of `Host.lost_after_s`, after which a keeper gives the launch up: it has ended its processes by then
 
-# the fields of what a keeper says
-_FIELDS: Mapping[str, type] = {
+_KEEPERS: Mapping[str, type] = {
     **dict.fromkeys(("printed", "line", "refused", "started", "from", "ended"), str),
     **dict.fromkeys(("pid", "code"), int),
     "data": bytes,
 }
+"""The fields of what a keeper says."""
+
+_PROCESSES: Mapping[str, type] = {
+    **dict.fromkeys(("message", "where", "why", "what", "line", "name", "process", "request", "refusal"), str),
+    **dict.fromkeys(("number", "slot", "epoch", "attempt", "version"), int),
+    **dict.fromkeys(("final", "again"), bool),
+    **dict.fromkeys(("processes", "instances", "roster"), dict),
+    "data": bytes,
+}
+"""Those of what a process says of itself, as far as they are of one type."""
 
 Notify = Callable[[str], None]
 
@@ -158,10 +168,7 @@ class FarHost:
                 return f"its keeper says what cannot be read: {error}"
 
     def _take(self, value: Value, overhearing: Overhearing) -> None:
-        if type(value) is not dict or any(
-            type(each) is not _FIELDS.get(name, type(each)) for name, each in value.items()
-        ):
-            raise SchemaError(f"expected a map as keepers say it, got {shown(value)}", "keeper")
+        _check(value, _KEEPERS, "keeper")
         if "printed" in value:
             overhearing.note(value["printed"], value["line"])
         if "refused" in value:
@@ -251,6 +258,7 @@ class FarChild(Child):
 
     def take(self, value: Mapping[str, Any]) -> bool:
         status = value["status"]
+        _check(value, _PROCESSES, "pipe")
         if status == REPORT and not is_report(value):
             raise SchemaError(f"expected a report, got {shown(value)}", "pipe")
         if status == KEEP:
@@ -370,6 +378,15 @@ class _Unheard(Overheard):
 
     def close(self) -> None:
         return
+
+
+def _check(value: Value, fields: Mapping[str, type], where: str) -> None:
+    """Raises `SchemaError` if a host says something else than a map with fields of these types."""
+    if type(value) is not dict:
+        raise SchemaError(f"expected a map, got {shown(value)}", where)
+    for name, each in value.items():
+        if type(each) is not fields.get(name, type(each)):
+            raise SchemaError(f"expected {TYPE_NAMES[fields[name]]}, got {shown(each)}", f"{where}.{name}")
 
 
 def _in_full(settings: Value) -> Value:

@@ -228,6 +228,8 @@ GARBLED = {
     "no slot": said(status="keep", number=1, slot=7, data=b"x"),
     "no record": said(status="keep", number=1, slot=1, data="x"),
     "no line": said(status="failed"),
+    "no reason": said(status="failed", message="x", where=5, final=False),
+    "no process": said(status="misses", process={}),
     "no entry": said(status="append", kind={}, fields=["a"]),
     "no report": said(status="report", belief=None),
     "no figures": said(
