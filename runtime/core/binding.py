@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.errors import HierarchyError, OperatorError
+from hierax.runtime.core.errors import FAILURES, HierarchyError, OperatorError
 from hierax.runtime.core.node import Allocate, Node, Tick, World
 from hierax.schemas.values import plain
 
@@ -83,7 +83,7 @@ class Call:
                 given = self._function(*arguments, tick=tick)
                 tick.freeze()
             return plain(given) if self._is_kept else given
-        except (Exception, SystemExit) as error:  # an operator that exits fails: it would end all nodes in silence
+        except FAILURES as error:
             raise self._failed(epoch, error) from error
 
     def elements(self, epoch: int, time_s: float, argument: Value) -> Elements:
@@ -95,7 +95,7 @@ class Call:
                 tick = self._tick(epoch, time_s)
                 result = self._function(argument, tick=tick)
                 tick.freeze()
-        except (Exception, SystemExit) as error:
+        except FAILURES as error:
             raise self._failed(epoch, error) from error
         if self._is_kept:
             result = plain(result)
@@ -157,8 +157,8 @@ class Policies(dict[str, Call]):
 class BoundNode:
     """A node with a name, its neighbours and the run's seed: all that its operators need.
 
-    Raises `HierarchyError` if it is no node, an operator has a signature that cannot be called, a policy's name is no
-    string, π⁰ is none of the policies, or λ(∅) ≠ π⁰."""
+    Raises `HierarchyError` if it is no node, an operator has a signature that cannot be called, what is no operator is
+    an async function, a policy's name is no string, π⁰ is none of the policies, or λ(∅) ≠ π⁰."""
 
     __slots__ = (
         "_may_be_none",
@@ -184,6 +184,7 @@ class BoundNode:
         self.below = below
         self.above = above
         self._may_be_none: bool | None = None
+        _check_plain(name, node)
 
         def bound(function: Operator, operator: str, takes: str = "") -> Call:
             return Call(function, name, operator, setting, below=below, above=above, takes=takes)
@@ -230,11 +231,18 @@ class BoundNode:
             )
 
 
+def _check_plain(name: str, node: Node) -> None:
+    """What is no operator is called where nothing can wait: raises `HierarchyError` if it is an async function."""
+    for method in ("policies", "take_over", "metrics", "time_s", "finished"):
+        if inspect.iscoroutinefunction(getattr(node, method, None)):
+            raise HierarchyError(f"{name}: {method} is an async function; expected a plain one, as it is no operator")
+
+
 def is_finished(name: str, world: World, belief: Value, epoch: int) -> bool:
     """Whether the world has nothing left to observe. Raises `OperatorError` if the world's `finished` raised."""
     try:
         return bool(world.finished(belief))
-    except Exception as error:
+    except FAILURES as error:
         raise OperatorError(name, "finished", epoch, f"{type(error).__name__}: {error}") from error
 
 
@@ -242,7 +250,7 @@ def metrics_of(name: str, node: Node, belief: Value, epoch: int) -> dict[str, fl
     """The figures that a node reports of its belief. Raises `OperatorError` if it gives none by name."""
     try:
         metrics = {metric: float(value) for metric, value in node.metrics(belief).items()}
-    except Exception as error:
+    except FAILURES as error:
         raise OperatorError(name, "metrics", epoch, f"{type(error).__name__}: {error}") from error
     nameless = [metric for metric in metrics if not isinstance(metric, str)]
     if nameless:
@@ -254,7 +262,7 @@ def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
     """The time of an epoch, by the world. Raises `OperatorError` if it raised, or gave no finite number."""
     try:
         time_s = float(world.time_s(belief, epoch))
-    except Exception as error:
+    except FAILURES as error:
         raise OperatorError(name, "time_s", epoch, f"{type(error).__name__}: {error}") from error
     if not isfinite(time_s):
         raise OperatorError(name, "time_s", epoch, f"expected seconds, got {time_s}")
@@ -264,7 +272,7 @@ def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
 def _policies_of(name: str, node: Node) -> Mapping[str, Operator]:
     try:
         policies = node.policies()
-    except Exception as error:
+    except FAILURES as error:
         raise HierarchyError(f"{name}: policies raised {type(error).__name__}: {error}") from error
     if not isinstance(policies, Mapping):
         raise HierarchyError(f"{name}: policies must give a mapping of names to functions, not {policies!r:.60}")

@@ -5,6 +5,10 @@ class HieraxError(Exception):
     """Base of the errors that a user can cause and mend: one clear line each."""
 
 
+FAILURES = (Exception, SystemExit)
+"""What is caught of code that a user wrote. Code that exits has failed as well: it would end all nodes, in silence."""
+
+
 class PlacedError(HieraxError):
     """`what` is wrong, and `where`, as a path in the roster and in the deployment file."""
 
@@ -21,7 +25,7 @@ class HierarchyError(HieraxError):
 class ProbeError(HieraxError):
     """A probe raised; the cause is chained."""
 
-    def __init__(self, subject: str, probe: object, operation: str, error: Exception) -> None:
+    def __init__(self, subject: str, probe: object, operation: str, error: BaseException) -> None:
         what = f"{type(error).__name__}: {error}"
         super().__init__(f"{subject}: {operation} of its probe {type(probe).__name__}: {what}")
 

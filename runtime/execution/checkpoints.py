@@ -68,6 +68,8 @@ def taken_over(node: BoundNode, state: bytes) -> ActiveNode:
         belief = node.node.take_over(belief)
     except Exception as error:
         raise HieraxError(str(error)) from error
+    except SystemExit as error:  # it would end the process
+        raise HieraxError(f"its take_over exits: {error}") from error
     if policy not in node.policies:
         raise HieraxError(f"it has no policy {policy!r}")
     return ActiveNode(belief, policy, actions)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 
 from hierax.runtime.core.elements import Value
-from hierax.runtime.core.errors import ProbeError
+from hierax.runtime.core.errors import FAILURES, ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.engine import Engine
@@ -91,5 +91,5 @@ class Observers:
     def _call(self, probe: Probe, operation: str, method: Callable[..., None], *arguments: object) -> None:
         try:
             method(*arguments)
-        except Exception as error:
+        except FAILURES as error:
             raise ProbeError(self._name, probe, operation, error) from error

@@ -18,7 +18,7 @@ from typing import BinaryIO, Protocol
 
 import msgpack
 
-from hierax.runtime.core.errors import HieraxError, ProbeError
+from hierax.runtime.core.errors import FAILURES, HieraxError, ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.execution.report import Report
 from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result, write_result
@@ -250,6 +250,6 @@ def open_probes(
         probe.overwrite = spec.overwrite
         try:
             (probe.open_again if again else probe.open)(output)
-        except Exception as error:
+        except FAILURES as error:
             raise ProbeError(name, probe, "open", error) from error
     return probes

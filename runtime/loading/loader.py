@@ -16,7 +16,7 @@ from types import ModuleType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting, check_signature, require_no_world
-from hierax.runtime.core.errors import HieraxError, PlacedError
+from hierax.runtime.core.errors import FAILURES, HieraxError, PlacedError
 from hierax.runtime.core.graph import neighbours
 from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy
 from hierax.runtime.core.node import Node, World
@@ -156,7 +156,7 @@ def check_initial_belief(name: str, node: Node) -> None:
         encode_value(node.initial_belief())
     except SchemaError as error:
         raise LoadError(f"the initial belief is no value: {error}", where) from error
-    except Exception as error:
+    except FAILURES as error:
         raise LoadError(f"initial_belief raised {_told(error)}", where) from error
 
 
@@ -245,7 +245,7 @@ def _call(target: Callable[..., Any], reference: Reference, where: str, field: s
         if name in reference.parameters:
             raise LoadError(text.removeprefix(f"{name}: "), f"{where}.parameters.{name}") from error
         raise LoadError(text, f"{where}.parameters") from error
-    except Exception as error:
+    except FAILURES as error:
         raise LoadError(f"{reference.target} raised {_told(error)}", f"{where}.parameters") from error
 
 
@@ -279,7 +279,7 @@ def _import(name: str, where: str) -> ModuleType:
         if lacking != name and not name.startswith(f"{lacking}."):
             raise LoadError(f"module {name!r} needs module {lacking!r}, which is not installed", where) from error
         raise LoadError(f"there is no module {lacking!r}{_nearest_module(lacking)}", where) from error
-    except (Exception, SystemExit) as error:
+    except FAILURES as error:
         raise LoadError(f"importing {name!r} raised {_told(error)}", where) from error
     _check_whose(name.partition(".")[0], where)
     return module

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 
 from hierax.runtime.core.elements import Value
-from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.errors import FAILURES, HieraxError
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Curve, Graph, Picture, Scene, Thing
@@ -85,7 +85,7 @@ def shown_by(name: str, node: Node, step: Step, before: Value) -> tuple[Placed, 
     """What a node shows of an epoch by `Node.show`. Raises `ShowError` if that raised, or gave something else."""
     try:
         things: Any = node.show(step, before)
-    except Exception as error:
+    except FAILURES as error:
         raise ShowError(f"{name}: show in epoch {step.epoch}: {type(error).__name__}: {error}") from error
     return placed(name, things, f"{name}: show in epoch {step.epoch}")
 

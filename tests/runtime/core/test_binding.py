@@ -229,6 +229,15 @@ def test_an_async_operator_is_refused_where_nothing_waits() -> None:
         bind_edge(AsyncEdge(), "world", "arm", "sense", SETTING)
 
 
+@pytest.mark.parametrize("method", ["policies", "take_over", "metrics", "time_s", "finished"])
+def test_what_is_no_operator_may_not_be_async(method: str) -> None:
+    async def given(*_: Any) -> Any:
+        return None
+
+    with pytest.raises(HierarchyError, match=rf"^arm: {method} is an async function; expected a plain one"):
+        bound(type("Waits", (Clock,), {method: given})(None), OperatorSetting(wait=asyncio.run))
+
+
 class Clock(World):
     def __init__(self, time: Any) -> None:
         self.time = time

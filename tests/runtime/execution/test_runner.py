@@ -16,9 +16,10 @@ from support.toy_nodes import Counter, Keeper
 
 from hierax.runtime import NO_TICK, Node, Probe, Step, Tick, Value
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
-from hierax.runtime.core.digest import DigestChain
+from hierax.runtime.core.digest import DigestChain, encode_state
 from hierax.runtime.core.errors import HierarchyError, HieraxError, OperatorError, ProbeError
 from hierax.runtime.engine.wiring import Place, Wiring
+from hierax.runtime.execution.checkpoints import taken_over
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import Log
 from hierax.runtime.execution.pacemaker import Pacemaker
@@ -229,6 +230,40 @@ def test_a_world_that_cannot_tell_whether_it_has_finished_is_named() -> None:
 
     with pytest.raises(OperatorError, match=r"^w: finished in epoch 0: RuntimeError: no idea$"):
         alone(Unsure(), None).finish()
+
+
+def exits(*_: Any) -> Any:
+    raise SystemExit(0)
+
+
+@pytest.mark.parametrize("method", ["finished", "time_s"])
+def test_a_world_that_exits_fails(method: str) -> None:
+    world = type("Leaving", (Counter,), {method: exits})()
+    with pytest.raises(OperatorError, match=rf"^w: {method} in epoch \d: SystemExit: 0$"):
+        alone(world, None).finish()
+
+
+def test_a_node_that_exits_when_it_is_asked_for_policies_or_figures_fails() -> None:
+    with pytest.raises(HierarchyError, match=r"^w: policies raised SystemExit: 0$"):
+        alone(type("Leaving", (Counter,), {"policies": exits})(), 1)
+    runner = alone(type("Leaving", (Counter,), {"metrics": exits})(), 1)
+    runner.finish()
+    with pytest.raises(OperatorError, match=r"^w: metrics in epoch 1: SystemExit: 0$"):
+        runner.report()
+
+
+def test_a_node_that_exits_when_it_takes_over_refuses_that() -> None:
+    node = BoundNode("w", type("Leaving", (Counter,), {"take_over": exits})(), (), (), OperatorSetting())
+    with pytest.raises(HieraxError, match=r"^its take_over exits: 0$"):
+        taken_over(node, encode_state(0, "default", ()))
+
+
+@pytest.mark.parametrize("method", ["record", "close"])
+def test_a_probe_that_exits_fails(method: str) -> None:
+    runner = alone(Counter(), 1, type("Leaving", (Closing,), {method: exits})())
+    finish = runner.finish if method == "record" else runner.observers.close
+    with pytest.raises(ProbeError, match=rf"^w: {method}( in epoch 1)? of its probe Leaving: SystemExit: 0$"):
+        finish()
 
 
 def test_an_operator_that_exits_fails() -> None:

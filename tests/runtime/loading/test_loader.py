@@ -122,6 +122,7 @@ NODE_MISTAKES = [
     ),
     (toy("Counter", step=0), "nodes.n.parameters.step", "step must be positive, got 0"),
     (toy("Broken"), "nodes.n.parameters", "support.toy_nodes:Broken raised KeyError: 'missing' ("),
+    (toy("Leaving"), "nodes.n.parameters", "support.toy_nodes:Leaving raised SystemExit: 0 ("),
 ]
 
 
