@@ -35,11 +35,16 @@ class Ahead:
         self._predicted: _Predicted | None = None
         self._sensed: _Sensed | None = None
 
-    def predict(self, chosen: Chosen, predicted: Callable[[Elements, Elements], Value]) -> Value:
-        """The belief that follows from what was chosen, without context."""
-        belief = predicted((), chosen[2])
+    def predict(self, chosen: Chosen, predicted: Callable[[Elements, Elements], Value]) -> tuple[Value, ...]:
+        """The belief that follows from what was chosen, without context; nothing where the operator fails. It is called
+        again then, once it is known whether there is context, which it may need."""
+        self._predicted = None
+        try:
+            belief = predicted((), chosen[2])
+        except OperatorError:
+            return ()
         self._predicted = _Predicted(chosen, belief)
-        return belief
+        return (belief,)
 
     def sense(self, node: BoundNode, world: World, senses: Senses, epoch: int, belief: Value) -> None:
         """What goes up in an epoch that begins in a belief, unless the run ends before. An operator that fails is left

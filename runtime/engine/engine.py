@@ -450,8 +450,9 @@ class Engine:
         chosen = self._act()
         world = self._world
         if world is not None and world.works_ahead:
-            belief = self._ahead.predict(chosen, self._predicted)
-            self._ahead.sense(self.node, world, self.wiring.sense, self.epoch + 1, belief)
+            known = self._ahead.predict(chosen, self._predicted)
+            if known:
+                self._ahead.sense(self.node, world, self.wiring.sense, self.epoch + 1, known[0])
 
     def _act(self) -> Chosen:
         """The tasks, the policy and its actions; task messages leave."""

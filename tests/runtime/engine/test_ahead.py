@@ -114,6 +114,23 @@ def test_where_context_comes_it_predicts_and_senses_again() -> None:
     assert node.calls == ["predict 5 0", "sense 6", "predict 5 1", "sense 6"]
 
 
+def test_where_it_cannot_predict_without_context_it_waits_for_that() -> None:
+    class Guided(Noting):
+        def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick) -> Value:
+            return {**super().predict(context, actions, belief, tick), "told": context[0]}
+
+    node = Guided(works_ahead=True)
+    solo = solo_of(node)
+    solo.begin()
+    solo.take(down(TASKS, 1))
+    assert [step.belief["told"] for step in steps(solo.take(down(CONTEXT, 1, "left")))] == ["left"]
+    assert node.calls == ["sense 1", "predict 1 0", "predict 1 1"]
+    solo.begin()
+    solo.take(down(TASKS, 2))
+    with pytest.raises(OperatorError, match="low: predict in epoch 2: IndexError"):
+        solo.take(down(CONTEXT, 2))
+
+
 def test_an_epoch_that_is_begun_again_uses_nothing_of_the_attempt_before() -> None:
     node = Noting(works_ahead=True)
     solo = begun_in(5, node)
