@@ -1,8 +1,10 @@
 """Networks in BIF files, whose structure pyAgrum reads."""
 
+import math
 import re
 import tempfile
 import warnings
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,8 @@ _TABLE = re.compile(r"\bprobability\s*\(([^){]*)")
 _BLOCK = re.compile(r"(\bprobability\b[^{]*)(\{[^}]*)?")
 # What is no number of a table: texts, and states. Then such a number.
 _NUMBER = re.compile(r'"[^"]*"?|\([^)]*|(?<![\w.])([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)(?![\w.])')
+_TEXT = re.compile(r'"[^"]*"?')
+_ROW = re.compile(r"\s*(table|default|\([^)]*\))(.*)", re.DOTALL)  # what a row of a table is of, and its numbers
 _MOST = 1 << 24  # so far single precision counts
 
 
@@ -46,6 +50,7 @@ def description_from(path: Path, text: str) -> list[dict[str, Any]]:
             net = pyagrum.loadBN(file.name)
         except Exception as error:  # pyAgrum has many; of the file itself it tells where it is wrong
             raise NetworkError(f"is no BIF: {_told(pyagrum, path) or error}") from error
+    _check_rows(plain, {net.variable(node).name(): net.variable(node).domainSize() for node in net.nodes()})
     return description_of(net, numbers)
 
 
@@ -94,11 +99,35 @@ def _check_sizes(text: str) -> None:
         if opened and count:
             states[opened] = int(count)
         opened = name
-    heads = [re.findall(r'[^\s,|"]+', head) for head in _TABLE.findall(text)]
+    heads = list(map(_names, _TABLE.findall(text)))
     many = next((name for name, count in states.items() if count > MAX_STATES), None)
     if many is not None:
         raise NetworkError(f"states: {states[many]:.3g} of them; at most {MAX_STATES} are allowed", many)
     check_tables({head[0]: [states.get(name, 1) for name in head] for head in heads if head})
+
+
+def _names(head: str) -> list[str]:
+    """Of whom a table is: the node, then its parents."""
+    return re.findall(r'[^\s,|"]+', head)
+
+
+def _check_rows(text: str, states: Mapping[str, int]) -> None:
+    """Whether there is one row of a kind, with as many numbers as it needs: of several pyAgrum takes the last one, of
+    numbers it leaves out further ones, and takes 0 for those that are not there."""
+    seen: set[tuple[str, str]] = set()
+    for before, block in _BLOCK.findall(text):
+        names = [name for head in _TABLE.findall(before) for name in _names(head)]
+        if not names:  # something else is called so
+            continue
+        for row in filter(None, map(_ROW.match, _TEXT.sub("", block[1:]).split(";"))):
+            kind = "".join(row[1].split())
+            wanted = math.prod(states.get(name, 1) for name in (names if kind == "table" else names[:1]))
+            count = sum(1 for found in _NUMBER.finditer(row[2]) if found[1])
+            if count != wanted:
+                raise NetworkError(f"{kind}: expected {wanted} numbers, got {count}", names[0])
+            if (names[0], kind) in seen:
+                raise NetworkError(f"{kind}: expected one such row, got two", names[0])
+            seen.add((names[0], kind))
 
 
 def _told(pyagrum: Any, path: Path) -> str:

@@ -75,6 +75,29 @@ def test_bif(tmp_path: Path) -> None:
     np.testing.assert_allclose(network.variables["b"].table, [0.2, 0.3, 0.5], atol=0.0)
 
 
+@pytest.mark.parametrize(
+    ("told", "instead", "message"),
+    [
+        ("table 0.25 0.75;", "table 0.25 0.75 0.3;", "node 'a': table: expected 2 numbers, got 3"),
+        ("table 0.25 0.75;", "table 1.0;", "node 'a': table: expected 2 numbers, got 1"),
+        ("(no, low) 0.125 0.875;", "(no, low) 0.125 0.875 0;", "node 'c': (no,low): expected 2 numbers, got 3"),
+        ("(no, low) 0.125 0.875;", "default 1.0;", "node 'c': default: expected 2 numbers, got 1"),
+        ("(no, middle) 0.25", "(no,low) 0.25", "node 'c': (no,low): expected one such row, got two"),
+        (
+            "table 0.25 0.75; }",
+            "table 0.5 0.5; } probability (a) { table 1 0; }",
+            "node 'a': table: expected one",
+        ),
+    ],
+)
+def test_a_row_of_a_bif_that_says_too_little_or_too_much(tmp_path: Path, told: str, instead: str, message: str) -> None:
+    with_pyagrum()
+    path = tmp_path / "n.bif"
+    path.write_text(BIF.replace(told, instead))
+    with pytest.raises(NetworkError, match=re.escape(message)):
+        read_network(path)
+
+
 def test_bif_without_pyagrum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "collider.bif"
     path.write_text(BIF)
