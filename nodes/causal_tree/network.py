@@ -182,7 +182,8 @@ def _table(entry: Mapping[str, Any], name: Name, shape: tuple[int, ...]) -> Floa
 
 def _check_distributions(table: Floats, name: Name, key: str) -> None:
     smallest = table.min()
-    sums = np.add.reduce(table, axis=-1)
+    with np.errstate(all="ignore"):  # of what is too large for a sum: it is told below
+        sums = np.add.reduce(table, axis=-1)
     if smallest >= 0 and np.abs(sums - 1.0).max() <= SUM_TOLERANCE:  # not so where there is a NaN, either
         return
     if not np.isfinite(table).all():

@@ -64,6 +64,8 @@ def test_tables_are_used_as_they_stand() -> None:
         (changed(cpt=[[0.9, 0.1], [1.2, -0.2]]), "node 'wet': cpt: expected numbers of at least 0, got -0.2"),
         (changed(cpt=[[0.9, 0.1], [float("nan"), 0.2]]), "node 'wet': cpt: expected finite numbers, got nan"),
         (changed(cpt=[[0.9, 0.1], [float("inf"), 0.2]]), "node 'wet': cpt: expected finite numbers, got inf"),
+        (changed(cpt=[[0.9, 0.1], [float("inf"), float("-inf")]]), "node 'wet': cpt: expected finite numbers, got inf"),
+        (changed(cpt=[[1e308, 1e308], [0.5, 0.5]]), "node 'wet': cpt: row [0] should sum to 1, not inf"),
         (changed(cpt=[[0.9, 0.1]]), "node 'wet': cpt: expected numbers of shape 2 × 2, got 1 × 2"),
         (changed(cpt=[[0.9, 0.1], [1.0]]), "node 'wet': cpt: expected numbers of shape 2 × 2, got lists of uneven"),
         (changed(cpt=[["0.9", "0.1"], ["0.5", "0.5"]]), "node 'wet': cpt: expected numbers, got [['0.9'"),
