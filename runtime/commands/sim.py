@@ -36,7 +36,7 @@ def sim(
     from hierax.runtime.sim.scenario import FAULTS
 
     wanted = _seeds(seeds)
-    kinds = _kinds(faults)
+    kinds = _kinds(faults, rates)
     scenarios = Scenarios(kinds, epochs, rates)
     if trace and output_format is Format.json:
         raise CommandError("--trace: it is printed as text; expected no --format json beside it")
@@ -76,8 +76,8 @@ def _seeds(text: str) -> range:
     return seeds
 
 
-def _kinds(text: str | None) -> tuple[str, ...]:
-    from hierax.runtime.sim.scenario import FAULTS
+def _kinds(text: str | None, rates: bool) -> tuple[str, ...]:
+    from hierax.runtime.sim.scenario import FAULTS, RATED_FAULTS
 
     if text is None:
         return FAULTS
@@ -87,6 +87,8 @@ def _kinds(text: str | None) -> tuple[str, ...]:
     for kind in kinds:
         if kind not in FAULTS:
             raise CommandError(f"--faults: there is no {kind!r}{did_you_mean(kind, FAULTS, 'the kinds are')}")
+        if rates and kind not in RATED_FAULTS:
+            raise CommandError(f"--faults: {kind!r} cannot occur with --rates: no node fails alone there")
     return kinds
 
 

@@ -9,12 +9,14 @@ import subprocess
 import sys
 from dataclasses import replace
 from typing import cast, get_args
+from unittest.mock import Mock
 
 import pytest
 from support.mutations import MUTATIONS
 from support.sweep import examples
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import Verdict
 from hierax.runtime.owner import planning
 from hierax.runtime.owner.members import Plan
@@ -220,12 +222,19 @@ def test_the_command_shows_what_fails(capsys: pytest.CaptureFixture[str]) -> Non
     assert "owner begins" in capsys.readouterr().out
 
 
+def test_production_code_that_raises_whatever_is_a_violation_of_its_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    for error in (TypeError("planted"), ZeroDivisionError("planted"), AssertionError("planted")):
+        monkeypatch.setattr(Engine, "_begin", Mock(side_effect=error))
+        assert simulate_many(range(2)).violations == [(seed, f"{type(error).__name__}: planted") for seed in range(2)]
+
+
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
         (["--seeds", "1:x"], "--seeds 1:x: expected two whole numbers"),
         (["--seeds", "4:4"], "--seeds 4:4: expected numbers from 0"),
         (["--faults", "crahs"], "there is no 'crahs'; did you mean 'crash'"),
+        (["--rates", "--faults", "crash,raise"], "--faults: 'raise' cannot occur with --rates"),
         (["--seeds", "0:5", "--trace"], "--trace: expected a single seed"),
         (["--seeds", "3", "--trace", "--format", "json"], "--trace: it is printed as text"),
         (["--seeds", f"{10**22}:{10**28}"], "expected numbers below 9223372036854775807"),
