@@ -15,7 +15,8 @@ from hierax.schemas.values import decode_value, encode_value
 ABSENT = "(absent)"  # stands for a value on the side where there is none
 
 EVERY = 256
-"""Every how many epochs it is looked at; and in those whose number is a power of two, as most faults show at once."""
+"""Every how many epochs it is looked at; and in those whose number is a power of two, as most faults show at once. Of a
+node with rates, its turns are counted."""
 
 
 class Unlike(NamedTuple):

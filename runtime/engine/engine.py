@@ -355,6 +355,11 @@ class Engine:
         self._superseded.clear()
         self._restart(attempt)
 
+    @property
+    def _turn_number(self) -> int:
+        """Which of its turns the epoch under way is to the node."""
+        return self.epoch
+
     def _undo(self, attempt: int) -> None:
         """The epoch is done again, from its start; nobody but the world knows yet which attempt will count."""
         if self.phase is Phase.DONE and len(self._superseded) < KEPT_ATTEMPTS:
@@ -371,7 +376,7 @@ class Engine:
         self._heard = self._told = _NO_MESSAGES
         self._sent.clear()
         self._intent = None
-        self._vigilance = Vigilance() if is_due(self.epoch) else None
+        self._vigilance = Vigilance() if is_due(self._turn_number) else None
         self._enter(Phase.SENSE)
 
     def _enter(self, phase: Phase) -> None:

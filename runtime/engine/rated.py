@@ -298,6 +298,12 @@ class RatedEngine(SayingEngine):
         self._kept.count(self._counting)
         self._told_above = self._own.told_above(epoch)
 
+    @property
+    def _turn_number(self) -> int:
+        """Turns are counted: those of some nodes are in no epoch whose number has many twos in it."""
+        every = self._rates.turns_of(self.name).every
+        return self.epoch // every if self._own.takes_part(self.name, self.epoch) else self.epoch
+
     def _complete(self) -> int:
         """The first of the epochs that come next of which all observations are there; 0: of none, as for the world.
 
@@ -341,6 +347,8 @@ class RatedEngine(SayingEngine):
             return
         self.time_s = self.inbox[self.node.below[0], OBSERVATIONS].header.time_s
         self._sensed = self._belief
+        if self._vigilance:
+            self._vigilance.keep("belief", self._belief)
         self.inbox = {}
         self._send_up()
 

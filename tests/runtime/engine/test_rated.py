@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import rated_mutations
 from support.direct import Direct
-from support.hierarchies import random_hierarchy, random_order
+from support.hierarchies import MixingNode, MixingWorld, random_hierarchy, random_order
 from support.rated import RatedNetwork, random_rates
 from support.sweep import examples
 
@@ -18,6 +18,7 @@ from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import encode_state
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError, OperatorError
+from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.core.unrolled import Unrolled, unrolled_update
 from hierax.runtime.engine.effects import Saved
@@ -133,6 +134,35 @@ def test_two_messages_that_differ_are_noticed_while_the_first_may_count(seed: in
                 network.engines[message.header.receiver].receive(Message(message.header, ("something else",)))
             return
     raise AssertionError("no context was ever sent")
+
+
+class Meddler(MixingNode):
+    """Changes the belief that it is given."""
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        belief["count"] += 1
+        return super().observe(observations, belief)
+
+
+def _meddles(belief: Value) -> Elements:
+    belief["count"] += 1
+    return ()
+
+
+@pytest.mark.parametrize(("every", "offset"), [(3, 0), (10, 3), (7, 5)])
+def test_what_operators_change_in_place_is_found_in_the_first_turn(every: int, offset: int) -> None:
+    hierarchy = Hierarchy({"w": MixingWorld("w", 1), "n": Meddler("n")}, "w", [Edge("w", "n")])
+    network = RatedNetwork(hierarchy, Rates({"n": Turns(every, offset)}), 0)
+    with pytest.raises(OperatorError, match=f"n: observe in epoch {offset or every}: changed the belief"):
+        network.run(EPOCHS)
+
+
+def test_so_is_what_an_edge_function_changes_where_its_node_has_no_turn() -> None:
+    nodes = {"w": MixingWorld("w", 1), "n": MixingNode("n"), "top": MixingNode("top")}
+    hierarchy = Hierarchy(nodes, "w", [Edge("w", "n"), Edge("n", "top", sense=_meddles)])
+    network = RatedNetwork(hierarchy, Rates({"n": Turns(3)}, pairs=(("w", "n"), ("n", "top"))), 0)
+    with pytest.raises(OperatorError, match="n->top: sense in epoch 1: changed the belief"):
+        network.run(EPOCHS)
 
 
 def test_what_is_written_down_and_cannot_travel_names_its_edge_and_epoch() -> None:
