@@ -530,6 +530,8 @@ class Engine:
             self._tell_below()
         else:
             effects.act(epoch, actions)
+            if self._vigilance and self.node.act:
+                self._vigilance.check(self.node.act, epoch)
             effects.committed(Committed(epoch, attempt, self.digest))
         effects.completed(completed)
         if self._held:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hierax.runtime import Elements, Node, Value, World
+from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
 from hierax.runtime.core.difference import EVERY, is_due
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.hierarchy import Edge
@@ -99,6 +99,18 @@ def test_an_operator_that_changes_what_it_is_given_is_named(where: str, message:
 def test_so_is_an_edge_function() -> None:
     with pytest.raises(OperatorError, match=r"world->low: sense in epoch 1: changed the belief .*belief\.trail\.steps"):
         run(Meddler("nowhere"), meddling)
+
+
+def test_so_is_a_world_that_changes_its_actions_as_it_acts() -> None:
+    class Pusher(Clock):
+        def policies(self) -> Any:
+            return {"default": lambda belief: ({"push": 1},)}
+
+        def act(self, actions: Elements, tick: Tick = NO_TICK) -> None:
+            actions[0]["push"] = 2
+
+    with pytest.raises(OperatorError, match=r"world: act in epoch 1: changed the actions .*\[0\]\.push: 1, then 2"):
+        run_hierarchy({"world": Pusher()}, [])
 
 
 def test_nobody_writes_into_an_array_of_a_belief_in_any_epoch() -> None:
