@@ -13,6 +13,7 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -21,7 +22,7 @@ import msgpack
 from hierax.runtime.core.errors import FAILURES, HieraxError, ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.execution.report import Report
-from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result, write_result
+from hierax.runtime.host.private_files import HeldError, close_held, errors_named, open_held, open_result, write_result
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import build_probe
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
@@ -148,11 +149,10 @@ def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False)
     roster, is_made = output / ROSTER, not output.exists()
     try:
         output.mkdir(parents=True, exist_ok=True)
-        file = open_result(roster)
+        file = open_held(roster, partial(_refusal, output))
     except OSError as error:
         raise OutputError(f"--output {output}: it cannot be made or written: {error.strerror or error}") from error
     try:
-        hold(file, lambda holder: HeldError(f"--output {output}: {holder} is writing there; name another folder"))
         if not goes_on and (output / REPLACED).is_dir():  # of a run that was killed
             _settle(output)
         there = _of_a_run(output)
@@ -167,12 +167,14 @@ def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False)
             if not goes_on or (output / REPLACED).is_dir():
                 _settle(output)
     finally:
-        if not os.fstat(file).st_size:
-            roster.unlink(missing_ok=True)
-        os.close(file)
+        close_held(roster, file)
         if is_made:
             with suppress(OSError):  # there is something in it
                 output.rmdir()
+
+
+def _refusal(output: Path, holder: str) -> HeldError:
+    return HeldError(f"--output {output}: {holder} is writing there; name another folder")
 
 
 def _set_aside(output: Path, there: Sequence[Path]) -> None:

@@ -144,6 +144,34 @@ def hold(file: int, refusal: Callable[[str], HieraxError]) -> None:
         raise refusal(_holder(file)) from error
 
 
+def open_held(path: Path | str, refusal: Callable[[str], HieraxError]) -> int:
+    """Open a file that a run writes for its user, as `open_result` does, and `hold` it. Raises as both do."""
+    while True:
+        file = open_result(path)
+        with closed_on_error(file), errors_named(path, "locked"):
+            hold(file, refusal)
+        if _is_at(path, file):
+            return file
+        os.close(file)  # who had it has removed it meanwhile, as nothing was in it
+
+
+def close_held(path: Path | str, file: int) -> None:
+    """Let go of a file that `open_held` gave; one that is empty is removed."""
+    try:
+        if not os.fstat(file).st_size and _is_at(path, file):
+            os.unlink(path)
+    finally:
+        os.close(file)
+
+
+def _is_at(path: Path | str, file: int) -> bool:
+    """Whether an open file is the one that is found at a path."""
+    try:
+        return os.path.samestat(os.lstat(path), os.fstat(file))
+    except FileNotFoundError:
+        return False
+
+
 @contextmanager
 def held_file(path: Path, refusal: Callable[[str], HieraxError]) -> Iterator[None]:
     """Hold a private file, made where it lacks, as `hold` does; the kernel lets go of it where the process ends before

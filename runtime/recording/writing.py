@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result
+from hierax.runtime.host.private_files import HeldError, close_held, errors_named, open_held, open_result
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo, to_metadata
 from hierax.runtime.recording.topics import Entry, schema_of
 
@@ -39,9 +39,8 @@ def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
     not replaced (`overwrite` replaces a recording), or the package ``mcap`` lacks."""
     require_mcap()
     with errors_named(path, kind=RecordingError):
-        file = open_result(path)
+        file = open_held(path, lambda holder: HeldError(f"{path}: {holder} is writing it; name another file"))
     try:
-        hold(file, lambda holder: HeldError(f"{path}: {holder} is writing it; name another file"))
         if os.fstat(file).st_size:
             if os.pread(file, len(MAGIC), 0) != MAGIC:
                 raise RecordingError(f"{path}: is no recording, so it is not overwritten; name another file")
@@ -49,9 +48,7 @@ def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
                 raise RecordingError(f"{path}: is there already; --overwrite replaces it, or name another file")
         yield Target(path, file)
     finally:
-        if not os.fstat(file).st_size:
-            path.unlink(missing_ok=True)
-        os.close(file)
+        close_held(path, file)
 
 
 class _Late:

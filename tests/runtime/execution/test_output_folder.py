@@ -113,6 +113,14 @@ def test_one_run_at_a_time(tmp_path: Path) -> None:
         pass
 
 
+def test_who_is_refused_leaves_the_other_ones_folder_to_it(tmp_path: Path) -> None:
+    with claimed_output(tmp_path):
+        for _ in range(2):
+            with pytest.raises(HeldError), claimed_output(tmp_path):
+                pass
+        assert (tmp_path / ROSTER).exists()
+
+
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     for output in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/none")):

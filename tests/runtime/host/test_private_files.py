@@ -4,16 +4,20 @@ import os
 import stat
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host import private_files
 from hierax.runtime.host.private_files import (
     HeldError,
     UnsafeFileError,
+    close_held,
     errors_named,
     hold,
+    open_held,
     open_private,
     open_result,
     private_folder,
@@ -160,6 +164,23 @@ def test_who_has_a_file_is_named(tmp_path: Path) -> None:
         other.communicate()
     hold(file, error)
     os.close(file)
+
+
+def test_a_file_that_its_holder_removes_just_then_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    before = open_held(path, HeldError)
+
+    def hold_later(file: int, refusal: Callable[[str], HieraxError]) -> None:
+        if os.fstat(file).st_nlink:  # it is opened, and then its holder ends
+            monkeypatch.undo()
+            close_held(path, before)
+        hold(file, refusal)
+
+    monkeypatch.setattr(private_files, "hold", hold_later)
+    file = open_held(path, HeldError)
+    assert os.path.samestat(os.fstat(file), path.stat())
+    close_held(path, file)
+    assert not path.exists()
 
 
 def test_what_the_machine_refuses_is_named_with_its_place(tmp_path: Path) -> None:

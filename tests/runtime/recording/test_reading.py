@@ -13,13 +13,14 @@ from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.host.private_files import HeldError
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Replay, allowance_of
 from hierax.runtime.recording.topics import MESSAGE, STEP, Entry, Topic, glance, topic_of
 from hierax.runtime.recording.trace import Assembly
-from hierax.runtime.recording.writing import ENDING, INFO, MAGIC, McapFile
+from hierax.runtime.recording.writing import ENDING, INFO, MAGIC, McapFile, claimed
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, Header, Message, encode_message
 from hierax.schemas.steps import encode_step
@@ -407,6 +408,28 @@ def test_another_format_is_refused(recording: Recording) -> None:
 def test_a_file_that_cannot_be_written_is_named(recording: Recording, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"nowhere/x\.mcap: cannot be written: No such file"):
         McapFile(tmp_path / "nowhere" / "x.mcap", recording.info)
+
+
+def test_who_is_refused_a_file_leaves_it_to_who_is_about_to_write_it(recording: Recording, tmp_path: Path) -> None:
+    """Nothing is in it until an epoch is committed."""
+    path = tmp_path / "run.mcap"
+    assert recording.ending is not None
+    with claimed(path) as target:
+        file = McapFile(target, recording.info)
+        for _ in range(2):
+            with pytest.raises(HeldError, match="is writing it; name another file"), claimed(path):
+                pass
+        file.begin()
+        file.close(recording.ending)
+    assert Recording.open(path).info == recording.info
+
+
+def test_a_claimed_file_that_somebody_has_put_another_one_in_the_place_of_is_left(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with claimed(path):
+        path.unlink()
+        path.write_bytes(MAGIC)
+    assert path.read_bytes() == MAGIC
 
 
 def test_keys_are_told_apart() -> None:
