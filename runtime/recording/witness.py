@@ -1,5 +1,6 @@
 """The watcher that tells whoever records what a node does."""
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ from hierax.schemas.values import Value, encode_value
 
 ROSTER_EVERY_S = 0.5  # how often the roster is told again, for those who have begun to record meanwhile
 _KEPT = 64  # how many epochs that were begun, and may still be completed, are remembered
+
+_log = logging.getLogger("hierax")
+
 _Used = tuple[tuple[str, str, int, int], ...]
 
 
@@ -93,7 +97,22 @@ class Witness(Watcher):
         states = (completed.state, b"" if self.roster is not None else _encoded(step.sensed), start)
         heard = (used, tuple(passages), self._chain[1] if self._chain[0] == step.epoch else b"")
         told = NodeStep(self.name, self._stream, self._number, *where, completed.digest, *states, *heard)
-        self.tell_step(encode_step(told))
+        self._tell(told)
+
+    def _tell(self, step: NodeStep) -> None:
+        """What is larger than a message may be goes without the belief in the epoch's middle, then without the start,
+        which are not needed to know what the node believes. Of a step that cannot be told the next one's number tells.
+        """
+        error: SchemaError | None = None
+        for small in (step, step._replace(sensed=b""), step._replace(sensed=b"", start=b"")):
+            try:
+                data = encode_step(small)
+            except SchemaError as too_large:
+                error = too_large
+                continue
+            self.tell_step(data)
+            return
+        _log.warning("epoch %d of %s is not recorded: its step %s", step.epoch, self.name, error and error.what)
 
     def _publish_roster(self, roster: Roster | None) -> None:
         now_s = time.monotonic()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from support.flawed import DEPLOYMENT
 
 from hierax.runtime.deployment.read import read_deployment
@@ -11,7 +12,8 @@ from hierax.runtime.execution import single
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.witness import Witness
-from hierax.schemas.steps import NodeStep, decode_step
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.steps import NodeStep, decode_step, encode_step
 
 
 class Deaf(Witness):
@@ -65,3 +67,34 @@ def test_what_nobody_was_told_of_is_a_gap(tmp_path: Path) -> None:
         ledger.step(step)
     gaps, lost = ledger.close()
     assert (lost, str(gaps[0])) == (4, "epoch 9: steps of low before this one")
+
+
+@pytest.mark.parametrize(
+    ("most", "kept"),
+    [
+        (420, [(1, False, True), (2, True, False), (3, True, False)]),
+        (300, [(1, False, False), (2, False, False), (3, False, False)]),
+        (100, []),
+    ],
+)
+def test_a_step_that_is_larger_than_a_message_may_be_ends_no_run(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    most: int,
+    kept: list[tuple[int, bool, bool]],
+) -> None:
+    def bounded(step: NodeStep) -> bytes:
+        data = encode_step(step)
+        if len(data) > most:
+            raise SchemaError(f"has {len(data)} bytes; at most {most} are allowed", "value")
+        return data
+
+    monkeypatch.setattr("hierax.runtime.recording.witness.encode_step", bounded)
+    told = steps(tmp_path, 4, 100)
+    assert [(step.number, bool(step.sensed), bool(step.start)) for step in told] == kept
+    warned = [record.getMessage() for record in caplog.records if record.name == "hierax"]
+    assert [each.partition(" bytes")[0] for each in warned] == [
+        f"epoch {epoch} of low is not recorded: its step has {size}"
+        for epoch, size in enumerate((259, 259, 258) if not kept else (), 1)
+    ]
