@@ -112,15 +112,17 @@ def recorded_look(recording: Recording, name: str, epoch: int | None, allowance:
     it is not in the recording, the file is damaged, or a node cannot or may not be loaded."""
     last = recording.ending.last if epoch is None and recording.ending is not None else epoch
     keeping = _Keeping(name)
-    reach = max((roster.rates.reach for roster in recording.rosters().values() if roster.rates is not None), default=1)
-    show_recording(recording, keeping, allowance, 1 if last is None else max(1, last - reach), last)
+    first = 1  # where epochs overlap, a node may have left out any number of those before the last one
+    if recording.info.how_stale.barrier and last is not None:
+        rates = [roster.rates for roster in recording.rosters().values() if roster.rates is not None]
+        first = max(1, last - max((each.reach for each in rates), default=1))
+    show_recording(recording, keeping, allowance, first, last)
     roster, found = keeping.roster, keeping.found
     if roster is not None and name not in roster.nodes:
         raise RecordingError(f"{recording.path}: {_absent(recording, roster, name)}")
     if roster is None or found is None or (epoch is not None and found.step.epoch != epoch):
         which = "any epoch" if epoch is None else f"epoch {epoch}"
-        seldom = found is not None and roster is not None and roster.rates is not None
-        before = f"; it took part in epoch {found.step.epoch} last before that" if found and seldom else ""
+        before = "" if found is None else f"; it took part in epoch {found.step.epoch} last before that"
         raise RecordingError(f"{recording.path}: what {name} did in {which} is not in it{before}")
     return found, roster
 

@@ -91,7 +91,10 @@ def test_a_node_of_a_recording(
     ("arguments", "said"),
     [
         (["camrea", "FILE"], "FILE: there is no node 'camrea' in it; did you mean 'camera'?"),
-        (["camera", "FILE", "--epoch", "7"], "FILE: what camera did in epoch 7 is not in it"),
+        (
+            ["camera", "FILE", "--epoch", "7"],
+            "FILE: what camera did in epoch 7 is not in it; it took part in epoch 6 last before that",
+        ),
         (["camera", "FILE", "--run", "a"], "give a recording, or say which launch is meant: not both"),
         (["camera", "--epoch", "7"], "--epoch and --trust are for recordings"),
     ],

@@ -91,6 +91,24 @@ def test_a_node_that_was_there_for_a_while(tmp_path: Path) -> None:
             recorded_look(recording, "other", epoch, allowance_of(recording))
 
 
+def test_what_a_node_did_last_is_found_however_many_epochs_it_has_left_out_since(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    rates = ("staleness=null", "nodes.world.rate_hz=1000", "nodes.arm.rate_hz=1000", "nodes.spatial.rate_hz=1")
+    options = [option for setting in rates for option in ("--set", setting)]
+    # the last epoch of the run, which all nodes do, is not in it
+    bounds = ["--epochs", "200", "--record", str(path), "--max-size", "120kB"]
+    assert main(["run", "chain", *bounds, *options]) == 0
+    recording = Recording.open(path)
+    assert recording.ending is not None
+    last = recording.ending.last
+    done = max(step.epoch for step in recording.steps("spatial"))
+    assert done < last - 1
+    look, _ = recorded_look(recording, "spatial", None, allowance_of(recording))
+    assert look.step.epoch == done
+    with pytest.raises(RecordingError, match=f"did in epoch {last} is not in it; it took part in epoch {done} last"):
+        recorded_look(recording, "spatial", last, allowance_of(recording))
+
+
 def test_of_a_recording_that_was_cut_is_shown_what_there_is(tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     options = ["--epochs", "600", "--record", str(path)]
