@@ -192,7 +192,7 @@ class RunOptions:
     deployment_file: Annotated[str | None, option("--deployment")] = None
     opens: Annotated[bool, option("--open")] = False
     memory: Annotated[str, option("--memory")] = "1GiB"
-    node: Annotated[str | None, option("--node")] = None
+    nodes: Annotated[list[str] | None, option("--node")] = None
     world: Annotated[WorldMode, option("--world")] = WorldMode.recorded
     speed: Annotated[float, option("--speed", min=0.0, callback=finite)] = 0.0
     classes: Annotated[list[str] | None, option("--with")] = None

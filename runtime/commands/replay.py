@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
 
-from hierax.runtime.commands.errors import FAILED, OK, CommandError
+from hierax.runtime.commands.errors import FAILED, OK, CommandError, UsageError
 from hierax.runtime.commands.options import Format, RecordingFile, RunOptions, WorldMode, offers
 from hierax.runtime.commands.recordings import comparison_json, print_comparison, recording_of
 from hierax.runtime.commands.show import RIGHT, brief, print_json, print_report, print_table
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @offers(
-    *("node", "world", "speed", "classes", "verify", "decisions", "tolerance"),
+    *("nodes", "world", "speed", "classes", "verify", "decisions", "tolerance"),
     *("first", "last", "overrides", "trust", "output_format"),
 )
 def replay(file: RecordingFile, options: RunOptions) -> int:
@@ -46,24 +46,27 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
         raise CommandError(f"--speed {options.speed:g}: expected 0, or a number from {SLOWEST:g} on")
     if options.verify and options.decisions:
         raise CommandError("give --verify or --decisions, not both: the first ends where something differs")
+    node = _one(options.nodes or ())
     recording = recording_of(file)
     info = recording.info
     allowance = allowance_of(recording, options.trust)
     extend_import_path(tuple(info.import_paths))
-    if options.overrides:
-        recorded = recorded_deployment(info).roster
-        for setting in options.overrides:
-            changed = changed_nodes(recorded, recorded_deployment(info, [setting]).roster)
-            _check_changes(setting, changed, recorded.world, options)
     replaced = _classes(options.classes or ())
-    check_names(recording, [*replaced, *([] if options.node is None else [options.node])])
+    check_names(recording, [*replaced, *([] if node is None else [node])])
+    if options.overrides or replaced:
+        recorded = recorded_deployment(info).roster
+        for setting in options.overrides or ():
+            changed = changed_nodes(recorded, recorded_deployment(info, [setting]).roster)
+            _check_changes(f"--set {setting}", changed, recorded.world, node, options)
+        for name, target in replaced.items():
+            _check_changes(f"--with {name}={target}", frozenset([name]), recorded.world, node, options)
     named = [module_of(target) for target in replaced.values()]
     if options.overrides:
         named += recorded_deployment(info, options.overrides).modules
     replaying = Replay(
         recording,
         allowance.with_modules(named),
-        node=options.node,
+        node=node,
         world=options.world is WorldMode.again,
         rewrite=other_settings(info, options.overrides or (), replaced),
         first=options.first,
@@ -99,15 +102,22 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     return OK if comparison is None or comparison.alike else FAILED
 
 
-def _check_changes(setting: str, changed: frozenset[str], world: str, options: RunOptions) -> None:
-    """Raises `CommandError` where a setting changes nodes alone that are not done again."""
-    again = changed if options.node is None else changed & {options.node}
+def _one(nodes: Sequence[str]) -> str | None:
+    """The node that is done again alone; None: all are. Raises `UsageError` if there are several."""
+    if len(nodes) > 1:
+        raise UsageError(f"--node {' --node '.join(nodes)}: expected one node, which is done again alone")
+    return nodes[0] if nodes else None
+
+
+def _check_changes(given: str, changed: frozenset[str], world: str, node: str | None, options: RunOptions) -> None:
+    """Raises `CommandError` where what is given changes nodes alone that are not done again."""
+    again = changed if node is None else changed & {node}
     if options.world is not WorldMode.again:
         again -= {world}
     if changed and not again:
-        what = "the other nodes do" if options.node is not None else "the world does"
+        what = "the other nodes do" if node is not None else "the world does"
         changes = f"changes {', '.join(sorted(changed))} alone"
-        raise CommandError(f"--set {setting}: {changes}; {what} here what the recording says")
+        raise CommandError(f"{given}: {changes}; {what} here what the recording says")
 
 
 def decisions_json(decisions: "Decisions") -> "dict[str, Any]":
@@ -203,5 +213,8 @@ def _classes(texts: Sequence[str]) -> Mapping[str, str]:
         name, equals, target = text.partition("=")
         if not equals or target.count(":") != 1:
             raise CommandError(f"--with {text}: expected NODE=package.module:Class")
-        found[name.strip()] = target.strip()
+        name = name.strip()
+        if name in found:
+            raise UsageError(f"--with {text}: {name} is {found[name]} already; expected one class for a node")
+        found[name] = target.strip()
     return found

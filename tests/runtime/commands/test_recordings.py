@@ -83,6 +83,28 @@ def test_a_replay_lists_what_would_have_been_decided_otherwise(
     assert "--verify or --decisions, not both" in capsys.readouterr().err
 
 
+def test_a_replay_is_of_one_node_alone_or_of_all(folder: Path, capsys: Capture) -> None:
+    said(capsys)
+    assert main(["replay", "a.mcap", "--node", "low", "--node", "high"]) == 2
+    assert capsys.readouterr().err == "error: --node low --node high: expected one node, which is done again alone\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "what"),
+    [
+        (["--with", "low=a:A", "--with", "low=a:B"], 2, "--with low=a:B: low is a:A already; expected one class for"),
+        (["--node", "high", "--with", "low=a:A"], 1, "--with low=a:A: changes low alone; the other nodes do here what"),
+        (["--with", "world=a:A"], 1, "--with world=a:A: changes world alone; the world does here what the recording"),
+    ],
+)
+def test_a_class_that_nothing_is_done_with_is_refused(
+    folder: Path, capsys: Capture, arguments: list[str], code: int, what: str
+) -> None:
+    said(capsys)
+    assert main(["replay", "a.mcap", *arguments]) == code
+    assert capsys.readouterr().err.startswith(f"error: {what}")
+
+
 def test_a_replay_keeps_the_pace(folder: Path, capsys: Capture) -> None:
     assert main(["replay", "a.mcap", "--speed", "1000", "--to", "3"]) == 0
 
