@@ -96,14 +96,13 @@ class _PortLog:
     seen: dict[Passage, int] = field(default_factory=dict)
     count: int = 0
 
-    kept: int = KEPT_EPOCHS
-
-    def add(self, passages: Iterable[Passage], epoch: int) -> None:
+    def add(self, passages: Iterable[Passage], epoch: int, kept: int) -> None:
+        """Of so many epochs up to this one what was seen is kept, at least."""
         for passage in passages:
             self.count += 1
             self.seen.setdefault(passage, self.count)
-        if len(self.seen) > 64 * self.kept:
-            self.seen = {each: at for each, at in self.seen.items() if each.epoch > epoch - self.kept}
+        if len(self.seen) > 64 * kept:
+            self.seen = {each: at for each, at in self.seen.items() if each.epoch > epoch - kept}
 
     def place(self, sent: bool, kind: str, peer: str, when: Attempt) -> int | None:
         return self.seen.get(Passage(sent, kind, peer, *when))
@@ -123,6 +122,7 @@ class Checker:
         self.turns: dict[str, Turns] = {}  # by node, with rates
         self._staleness = staleness
         self._from_start = from_start
+        self._kept = KEPT_EPOCHS  # and, with rates, as far back as something may be of that counts, by any roster
         self._rosters: dict[int, Roster] = {}
         self._seats: dict[tuple[int, str], _Seat] = {}
         self._logs: dict[str, _PortLog] = {}
@@ -138,6 +138,8 @@ class Checker:
         if roster.version in self._rosters:
             return
         self._rosters[roster.version] = roster
+        if roster.rates is not None:
+            self._kept = max(self._kept, KEPT_EPOCHS + roster.rates.reach)
         try:
             check_graph(roster.world, roster.nodes, roster.pairs)
         except HierarchyError as error:
@@ -179,7 +181,7 @@ class Checker:
         roster = self._rosters.get(step.roster)
         rates = None if roster is None else roster.rates
         log = self._log(step, rates)
-        log.add(step.passages, step.epoch)
+        log.add(step.passages, step.epoch, self._kept)
         if roster is None:
             return  # of before the recording
         self._waiting.append(step)
@@ -336,7 +338,6 @@ class Checker:
             unsure = 1 if self._staleness.barrier else KEPT_EPOCHS
         self._logs[step.name] = log = _PortLog(step.stream, step.number, unsure)
         if rates is not None:
-            log.kept += rates.reach
             log.after = step.epoch if step.number != 1 or (joined and not self._from_start) else 0
         return log
 

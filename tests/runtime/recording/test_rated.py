@@ -160,6 +160,37 @@ def test_a_run_in_good_order_passes(planted: Path, tmp_path: Path) -> None:
     assert is_repeated(recording) == 30
 
 
+GROWING = """
+hierarchy: growing
+world: world
+rates: true
+nodes:
+  world: {class: "hierax.nodes.chain:Counter"}
+  arm: {class: "hierax.nodes.chain:Relay"}
+edges:
+  world -> arm: {sense: "hierax.nodes.chain:count", context: "hierax.nodes.chain:level"}
+"""
+
+LATE = """
+nodes:
+  late: {class: "hierax.nodes.chain:Relay"}
+edges:
+  world -> late: {sense: "hierax.nodes.chain:count", context: "hierax.nodes.chain:level", delay: 60}
+"""
+
+
+def test_what_counts_late_is_remembered_also_where_it_comes_with_a_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hierax.runtime.recording.check.KEPT_EPOCHS", 3)
+    deployment, snippet = tmp_path / "growing.yaml", tmp_path / "late.yaml"
+    deployment.write_text(GROWING, encoding="utf-8")
+    snippet.write_text(LATE, encoding="utf-8")
+    recording, _ = record_file(tmp_path / "run.mcap", deployment, epochs=140, at=[f"5:attach:{snippet}"])
+    assert check_recording(recording).turns["world"].in_force == {"arm": 140, "late": 80}
+    assert is_repeated(recording) == 140
+
+
 @pytest.mark.parametrize("by", [-1, 1])
 def test_context_that_counts_in_another_epoch_is_found(
     by: int, planted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
