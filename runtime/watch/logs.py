@@ -244,7 +244,11 @@ class JsonLine(logging.Formatter):
         if record.exc_info and record.exc_info[0] is not None:
             fields["exception"] = self.formatException(record.exc_info)
         more = {name: value for name, value in vars(record).items() if name not in _STANDARD}
-        return json.dumps({**more, **fields}, ensure_ascii=False, default=str)
+        try:
+            return json.dumps({**more, **fields}, ensure_ascii=False, default=str)
+        except (TypeError, ValueError):  # keys that are tuples, or what holds itself
+            more = {str(name): repr(value) for name, value in more.items()}
+            return json.dumps({**more, **fields}, ensure_ascii=False)
 
 
 def _message(record: logging.LogRecord) -> str:

@@ -50,6 +50,18 @@ def test_a_nodes_records_have_run_node_and_epoch(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().err == "arm: robots.arm: slipped by 2.5 mm\n"
 
 
+def test_what_json_has_not_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    log_nodes("5163af85", "arm", {"arm": lambda: (1, 0)})
+    itself: dict[str, Any] = {}
+    itself["again"] = itself
+    logging.getLogger("robots").info("seen", extra={"cells": {(1, 2): 3}})
+    logging.getLogger("robots").info("seen", extra={"tree": itself, "joint": 3})
+    cells, tree = entries("5163af85", "arm")
+    assert (cells["message"], cells["cells"]) == ("seen", "{(1, 2): 3}")
+    assert (tree["tree"], tree["joint"]) == ("{'again': {...}}", "3")
+    assert capsys.readouterr().err == ""
+
+
 def test_formatters_of_ones_own_know_the_fields(capsys: pytest.CaptureFixture[str]) -> None:
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(run)s/%(node)s@%(epoch)d %(message)s"))
