@@ -4,7 +4,7 @@ A user's operator may or may not take a ``tick``, and may be an ``async def``. H
 both are settled once, when a node is built, so that nothing has to look again."""
 
 import inspect
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
@@ -15,6 +15,7 @@ import numpy as np
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import FAILURES, HierarchyError, OperatorError
 from hierax.runtime.core.node import Allocate, Node, Tick, World
+from hierax.schemas.errors import shown
 from hierax.schemas.values import plain
 
 Operator = Callable[..., Any]
@@ -112,7 +113,7 @@ class Call:
         return Tick(setting.seed, *where, setting.allocate)
 
     def _failed(self, epoch: int, error: BaseException) -> OperatorError:
-        what = f"{type(error).__name__}: {error}{_raised_at(error)}"
+        what = _told(error)
         if isinstance(error, ValueError) and "read-only" in str(error):
             what += "; it writes into an array that is not its own: make a copy"
         return OperatorError(self.subject, self.operator, epoch, what)
@@ -122,12 +123,18 @@ CALLS = (Call.__call__.__code__, Call.elements.__code__)
 """The code in whose frames an operator is called; a frame's `self` is the call."""
 
 
+def _told(error: BaseException) -> str:
+    """An error's type, text and place, in one line whatever its text is."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}{text and f': {text}'}{_raised_at(error)}"
+
+
 def _raised_at(error: BaseException) -> str:
     """The line that raised, for the user who wrote it."""
     last = error.__traceback__
     while last is not None and last.tb_next is not None:
         last = last.tb_next
-    if last is None or last.tb_frame.f_code in CALLS:  # it could not even be called
+    if last is None or last.tb_frame.f_code.co_filename == __file__:  # it could not even be called
         return ""
     code = last.tb_frame.f_code
     return f" ({code.co_filename}:{last.tb_lineno}, in {code.co_name})"
@@ -243,19 +250,27 @@ def is_finished(name: str, world: World, belief: Value, epoch: int) -> bool:
     try:
         return bool(world.finished(belief))
     except FAILURES as error:
-        raise OperatorError(name, "finished", epoch, f"{type(error).__name__}: {error}") from error
+        raise OperatorError(name, "finished", epoch, _told(error)) from error
 
 
 def metrics_of(name: str, node: Node, belief: Value, epoch: int) -> dict[str, float]:
     """The figures that a node reports of its belief. Raises `OperatorError` if it gives none by name."""
     try:
-        metrics = {metric: float(value) for metric, value in node.metrics(belief).items()}
+        metrics = dict(node.metrics(belief).items())
     except FAILURES as error:
-        raise OperatorError(name, "metrics", epoch, f"{type(error).__name__}: {error}") from error
+        raise OperatorError(name, "metrics", epoch, _told(error)) from error
     nameless = [metric for metric in metrics if not isinstance(metric, str)]
     if nameless:
         raise OperatorError(name, "metrics", epoch, f"expected figures by name, {nameless[0]!r:.60} is no string")
-    return metrics
+    return {metric: _figure(name, metric, value, epoch) for metric, value in metrics.items()}
+
+
+def _figure(name: str, metric: str, value: Any, epoch: int) -> float:
+    try:
+        return float(value)
+    except Exception as error:
+        what = f"expected a number as {metric!r}, got {shown(value)}"
+        raise OperatorError(name, "metrics", epoch, what) from error
 
 
 def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
@@ -263,7 +278,7 @@ def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
     try:
         time_s = float(world.time_s(belief, epoch))
     except FAILURES as error:
-        raise OperatorError(name, "time_s", epoch, f"{type(error).__name__}: {error}") from error
+        raise OperatorError(name, "time_s", epoch, _told(error)) from error
     if not isfinite(time_s):
         raise OperatorError(name, "time_s", epoch, f"expected seconds, got {time_s}")
     return time_s
@@ -273,7 +288,7 @@ def _policies_of(name: str, node: Node) -> Mapping[str, Operator]:
     try:
         policies = node.policies()
     except FAILURES as error:
-        raise HierarchyError(f"{name}: policies raised {type(error).__name__}: {error}") from error
+        raise HierarchyError(f"{name}: policies raised {_told(error)}") from error
     if not isinstance(policies, Mapping):
         raise HierarchyError(f"{name}: policies must give a mapping of names to functions, not {policies!r:.60}")
     return policies
@@ -315,7 +330,18 @@ def check_signature(function: Operator, operator: str, takes: str = "", subject:
     except TypeError as error:
         what = f"{operator} must take ({', '.join(arguments)}) and, if it likes, tick; it takes {signature}"
         raise HierarchyError(f"{subject}: {what}" if subject else what) from error
+    misplaced = _misplaced(list(signature.parameters), arguments)
+    if misplaced:
+        what = f"{operator} is given ({', '.join(arguments)}) in this order; it takes {signature}"
+        raise HierarchyError(f"{subject}: {what}" if subject else what)
     return wants
+
+
+def _misplaced(names: Sequence[str], arguments: Sequence[str]) -> bool:
+    """Whether a function calls one of its arguments as another one of them is called, which it would be given in its
+    place; names of its own are its own affair."""
+    given = dict(zip(names, arguments, strict=False))
+    return any(name in arguments and name != argument for name, argument in given.items())
 
 
 def _synchronous(function: Operator, setting: OperatorSetting, where: str) -> Operator:

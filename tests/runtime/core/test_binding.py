@@ -109,6 +109,32 @@ def test_a_signature_that_cannot_be_called_is_refused(operator: str, function: A
     assert str(raised.value).startswith(f"arm: {operator} must take {takes} and, if it likes, tick; it takes (")
 
 
+@pytest.mark.parametrize(
+    ("operator", "function"),
+    [
+        ("observe", lambda self, belief, observations: observations),
+        ("observe", lambda self, belief, seen: seen),
+        ("predict", lambda self, belief, context, actions, tick: belief),
+    ],
+)
+def test_arguments_in_another_order_are_refused(operator: str, function: Any) -> None:
+    with pytest.raises(HierarchyError, match=rf"^arm: {operator} is given \(.*belief\) in this order; it takes \("):
+        bound(with_operator(operator, function))
+
+
+def test_arguments_may_have_other_names() -> None:
+    assert bound(with_operator("observe", lambda self, seen, state: state)).observe(1, 0.0, (), 3) == 3
+
+
+def test_what_an_operator_raises_is_told_in_one_line() -> None:
+    def broken(self: Node, observations: Elements, belief: Value) -> Value:
+        raise RuntimeError("the sensor\n  is broken")
+
+    told = r"^arm: observe in epoch 1: RuntimeError: the sensor is broken \(.*, in broken\)$"
+    with pytest.raises(OperatorError, match=told):
+        bound(with_operator("observe", broken)).observe(1, 0.0, (), 3)
+
+
 def test_a_policys_and_an_edge_functions_signature_is_checked() -> None:
     with pytest.raises(HierarchyError, match=r"arm: policy default must take \(belief\)"):
         bound(with_operator("policies", lambda self: {"default": lambda: ()}))

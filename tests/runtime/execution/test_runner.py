@@ -208,7 +208,7 @@ def test_a_probe_that_does_not_close_keeps_no_other_from_it(tmp_path: Path) -> N
     ("metrics", "what"),
     [
         (None, "AttributeError"),
-        ({"error": "much"}, "could not convert string to float"),
+        ({"error": "much"}, "expected a number as 'error', got 'much'$"),
         ({3: 1.0}, "expected figures by name, 3 is no string"),
     ],
 )
@@ -228,7 +228,7 @@ def test_a_world_that_cannot_tell_whether_it_has_finished_is_named() -> None:
         def finished(self, belief: Value) -> bool:
             raise RuntimeError("no idea")
 
-    with pytest.raises(OperatorError, match=r"^w: finished in epoch 0: RuntimeError: no idea$"):
+    with pytest.raises(OperatorError, match=r"^w: finished in epoch 0: RuntimeError: no idea \(.*, in finished\)$"):
         alone(Unsure(), None).finish()
 
 

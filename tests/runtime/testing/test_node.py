@@ -172,7 +172,7 @@ class Raises(Right):
         (NoTuple, "policy default in epoch 1: expected a tuple of elements, got int"),
         (HiddenPolicy, "policy rash in epoch 1: its result value[0]: a object cannot be sent"),
         (NoPolicy, "select_policy in epoch 1: 'fast' is none of the policies default"),
-        (NoFigures, "metrics in epoch 0: ValueError"),
+        (NoFigures, "metrics in epoch 0: expected a number as "),
         (Numbered, "another object of its class gave another sensed in epoch 1 (n: "),
         (Timeless, "time_s in epoch 1: expected seconds, got nan"),
         (Raises, "observe in epoch 1: RuntimeError: no camera"),
