@@ -11,7 +11,7 @@ from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.probe import Step
 from hierax.runtime.loading.node_loader import wait_for
-from hierax.schemas.errors import SchemaError
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.values import decode_value, encode_value
 
 Inputs = Sequence[Elements]
@@ -78,6 +78,7 @@ def check_node(
     assert isinstance(made, Node), f"expected a Node, or what makes one, got {made!r:.60}"
     if above is None:
         above = (ABOVE,) if tasks or context else ()
+    _check_elements(observations=observations, tasks=tasks, context=context)
     inputs = make_inputs(observations, tasks, context, epochs)
     trial = _Trial(made, name, below, above, seed)
     steps = trial.run(inputs)
@@ -89,6 +90,16 @@ def check_node(
         other = _Trial(node(), name, below, above, seed)
         _same_steps(steps, other.run(inputs), f"{name}: another object of its class")
     return steps
+
+
+def _check_elements(**given: Inputs) -> None:
+    """Each epoch has a tuple or list of elements: of a lone map, whose comma was forgotten, the keys would be taken."""
+    for kind, epochs in given.items():
+        assert isinstance(epochs, (tuple, list)), (
+            f"{kind}: expected a list with a tuple for each epoch, got {shown(epochs)}"
+        )
+        wrong = [place for place, elements in enumerate(epochs) if not isinstance(elements, (tuple, list))]
+        assert not wrong, f"{kind}[{wrong[0]}]: expected a tuple of elements, got {shown(epochs[wrong[0]])}"
 
 
 def make_inputs(observations: Inputs, tasks: Inputs, context: Inputs, epochs: int | None = None) -> list[Input]:
@@ -200,10 +211,7 @@ class _Trial:
         try:
             return do()
         except OperatorError as error:
-            text = str(error)
-            if "read-only" in text:
-                text += "; it writes into an array that it was given: make a copy"
-            raise AssertionError(text) from error
+            raise AssertionError(str(error)) from error
 
     def _encoded(self, call: Call, epoch: int, result: Value) -> bytes:
         try:

@@ -162,7 +162,7 @@ class Raises(Right):
             ChangesBelief,
             "observe in epoch 1 changed what it was given; make a copy, or a new value (argument 2.n: 0",
         ),
-        (WritesArray, "it writes into an array that it was given: make a copy"),
+        (WritesArray, "; it writes into an array that is not its own: make a copy"),
         (OwnDice, "predict in epoch 1 gave two results for the same arguments; random numbers come from tick.rng"),
         (Counts, "observe in epoch 1 gave two results for the same arguments"),
         (Remembers, "observe in epoch 1 gave another result when it was called again later"),
@@ -183,6 +183,28 @@ def test_what_is_wrong_is_named(wrong: type[Node], what: str) -> None:
         check_node(wrong, observations=READINGS, tasks=[("hurry",)])
     assert what in str(caught.value)
     assert str(caught.value).startswith("node: ")
+
+
+def test_a_hint_is_given_once() -> None:
+    with pytest.raises(AssertionError) as caught:
+        check_node(WritesArray, observations=READINGS)
+    assert str(caught.value).count("make a copy") == 1
+
+
+@pytest.mark.parametrize(
+    ("observations", "what"),
+    [
+        ([1.0], "observations[0]: expected a tuple of elements, got 1.0"),
+        ([(1.0,), {"x": 1.0}], "observations[1]: expected a tuple of elements, got a dict"),
+        (["ab"], "observations[0]: expected a tuple of elements, got 'ab'"),
+        (3, "observations: expected a list with a tuple for each epoch, got 3"),
+        ({"x": (1.0,)}, "observations: expected a list with a tuple for each epoch, got a dict"),
+    ],
+)
+def test_inputs_that_are_no_elements_are_named(observations: Any, what: str) -> None:
+    with pytest.raises(AssertionError) as caught:
+        check_node(Right, observations=observations)
+    assert str(caught.value) == what
 
 
 def test_no_node_at_all() -> None:
