@@ -13,7 +13,7 @@ from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.host.private_files import check_encodable
 from hierax.runtime.loading.allowance import Allowance
-from hierax.runtime.loading.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean, nearest_of
 from hierax.schemas.roster import ProbeSpec, Roster
 from hierax.schemas.values import Value
 
@@ -177,8 +177,18 @@ def find_file(name: str | Path) -> Path:
         what = "is no file; expected a deployment file or the name of a shipped one"
         raise DeploymentError(what, str(name) or repr(""))
     wrong = path.stem if path.suffix in _SUFFIXES else path.name
-    nearest = did_you_mean(wrong, known, "the shipped ones are")
+    beside = _files_in(path.parent)
+    near = nearest_of(wrong, beside)
+    nearest = f"; did you mean '{beside[near]}'?" if near else did_you_mean(wrong, known, "the shipped ones are")
     raise DeploymentError(f"there is no such file, and no shipped deployment of that name{nearest}", str(name))
+
+
+def _files_in(folder: Path) -> dict[str, Path]:
+    """What may be deployment files in a folder, by their names without the suffix; none where it cannot be read."""
+    try:
+        return {each.stem: each for each in sorted(folder.iterdir()) if each.suffix in _SUFFIXES}
+    except OSError:
+        return {}
 
 
 def read_text(path: Path) -> str:

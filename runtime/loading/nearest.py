@@ -11,10 +11,17 @@ def did_you_mean(wrong: str, valid: Iterable[str], what: str = "expected one of"
     names = sorted(set(valid))
     if not names:
         return ""
-    lower = {name.lower(): name for name in names}
-    near = get_close_matches(wrong, names, n=1) or get_close_matches(wrong.lower(), list(lower), n=1)
+    near = nearest_of(wrong, names)
     if near:
-        return f"; did you mean {lower.get(near[0], near[0])!r}?"
+        return f"; did you mean {near!r}?"
     shown = ", ".join(names[:SHOWN])
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return f"; {what} {shown}{more}"
+
+
+def nearest_of(wrong: str, valid: Iterable[str]) -> str:
+    """The valid name that is near a wrong one, be its case another one; empty where none is."""
+    names = sorted(set(valid))
+    lower = {name.lower(): name for name in names}
+    near = get_close_matches(wrong, names, n=1) or get_close_matches(wrong.lower(), list(lower), n=1)
+    return lower.get(near[0], near[0]) if near else ""

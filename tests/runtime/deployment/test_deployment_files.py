@@ -33,6 +33,17 @@ def test_the_nearest_shipped_name(wrong: str, tmp_path: Path, monkeypatch: pytes
     )
 
 
+@pytest.mark.parametrize("wrong", ["folower.yaml", "follower", "follower.yml", "Follower.yaml"])
+@pytest.mark.parametrize("folder", ["", "sub/"])
+def test_the_nearest_file_beside(wrong: str, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("sub").mkdir()
+    Path(folder, "follower.yaml").touch()
+    Path(folder, "follower.py").touch()
+    with pytest.raises(DeploymentError, match=rf"^{folder}{wrong}: .*; did you mean '{folder}follower\.yaml'\?$"):
+        find_file(f"{folder}{wrong}")
+
+
 def test_the_shipped_names_where_none_is_near() -> None:
     with pytest.raises(DeploymentError, match=r"; the shipped ones are .*letters, "):
         find_file("zzz")
