@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
+import json
 import os
 import re
 import shlex
@@ -13,6 +15,10 @@ from pathlib import Path
 import pytest
 from support.pages import FENCE, beginnings, script
 from support.reader import environment_of
+
+from hierax.runtime.core.hierarchy import Edge
+from hierax.runtime.testing.node import check_node
+from hierax.runtime.testing.runs import run_hierarchy
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -51,6 +57,43 @@ def test_the_modules_of_the_reference_are_there() -> None:
     ]
     assert named
     assert not [name for name in named if importlib.util.find_spec(name) is None]
+
+
+def test_the_page_of_the_deployment_file_has_all_fields_and_their_words() -> None:
+    schema = json.loads((ROOT / "runtime/deployment/deployment.schema.json").read_text(encoding="utf-8"))
+    models = [schema, *(model for model in schema["$defs"].values() if "properties" in model)]
+    fields = [(name, field) for model in models for name, field in model["properties"].items()]
+    words = {word for _, field in fields for each in field.get("anyOf", ()) for word in each.get("enum", ())}
+    page = re.sub(r"```.*?```", "", PAGES["docs/deployment.md"], flags=re.DOTALL)
+    shown = set(re.findall(r"[\w-]+", " ".join(re.findall(r"`[^`]+`", page))))
+    recovery = set(re.findall(r"`([\w-]+)`", PAGES["docs/recovery.md"]))
+    assert {name for name, _ in fields} - shown == set()
+    assert words - shown - recovery == set()
+
+
+def test_the_robot_of_the_page_on_nodes_drives_as_fast_as_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("driving", "robot"):
+        code = re.search(rf'```python title="{name}\.py"\n(.*?)```', PAGES["docs/nodes.md"], re.DOTALL)
+        assert code is not None
+        (tmp_path / f"{name}.py").write_text(code[1], encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    driving, robot = importlib.import_module("driving"), importlib.import_module("robot")
+    driven: list[float] = []
+
+    class Device:
+        def __init__(self, name: str) -> None:
+            self.range_m = lambda: 1.0
+            self.drive = driven.append
+
+    monkeypatch.setattr(robot, "Device", Device, raising=False)
+    edges = [Edge("robot", "pilot", sense=lambda belief: (0.75,), task=driving.wanted)]
+    ran = run_hierarchy({"robot": robot.Robot("range"), "pilot": driving.Pilot()}, edges, world="robot", epochs=2)
+    assert ran.steps["robot"][-1].policy == "drive 0.25"
+    assert ran.steps["robot"][-1].actions == ({"m_s": 0.25},)
+    assert driven == [0.25, 0.25]
+    check_node(driving.Cart, tasks=[({"m_s": 0.1 + 0.2},), ()])
 
 
 def test_there_are_pages_to_run() -> None:
