@@ -317,6 +317,13 @@ class Child:
         """Why it has ended: what it said itself, or else how."""
         return self.failure or NodeFailedError(f"{self.name}: its process ended {self.how}")
 
+    def not_started_again(self, terms: str) -> NodeFailedError:
+        """Why the run ends with it: what it said itself, or else how and why it has ended, and by which terms no other
+        process comes."""
+        why = f" ({self.culprit})" if self.culprit else ""
+        what = f"{self.name}: its process ended {self.how}{why}; it is not started again ({terms})"
+        return self.failure or NodeFailedError(what)
+
     def failed_as(self, why: str) -> NodeFailedError:
         """Why the run ends with this node: what it said itself, or else what its owner says, and the host it was on."""
         return self.failure or NodeFailedError(f"{why}; its process ended {self.gone}" if self.gone else why)
@@ -362,6 +369,7 @@ class Restarts:
         self._terms = terms  # of the node
         self._times: deque[float] = deque()
         self.count = 0
+        self.refused = ""  # by which terms there was none, the last time
 
     def delay_s(self, child: Child) -> float | None:
         """After which delay the next process is started; None: there is none.
@@ -371,6 +379,7 @@ class Restarts:
         """
         terms = self._terms
         failed = child.returncode != 0 or bool(child.culprit)
+        self.refused = f"restart_policy: {terms.restart_policy}"
         if terms.restart_policy == "never":
             return None
         if terms.restart_policy == "on-failure" and (not failed or child.failure is not None):
@@ -379,6 +388,8 @@ class Restarts:
         while self._times and terms.restart_window_s is not None and now - self._times[0] > terms.restart_window_s:
             self._times.popleft()
         if terms.max_restarts and len(self._times) >= terms.max_restarts:
+            window = "" if terms.restart_window_s is None else f" in {terms.restart_window_s:g} s"
+            self.refused = f"max_restarts: {terms.max_restarts}{window}"
             return None
         delay = min(terms.restart_delay_s * 2 ** min(len(self._times), 60), terms.max_restart_delay_s)
         self._times.append(now)

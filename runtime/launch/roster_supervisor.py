@@ -317,7 +317,7 @@ class RosterSupervisor(ProcessSupervisor):
             if delay_s is not None:
                 delays_s[child.name] = delay_s
             elif not (begun and self._may_lack(child)):
-                self.fail(child.last_words)
+                self.fail(child.not_started_again(self._restarts[child.name].refused))
                 return {}
         self.notify(_told(children, delays_s))
         for child in children if begun else ():

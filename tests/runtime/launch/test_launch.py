@@ -170,7 +170,8 @@ def test_a_fork_that_holds_the_pipes_holds_nothing_up(two: Callable[[str], str],
     done = hierax("launch", two(node), "--epochs", "2")
     assert done.returncode == code, done.stderr
     if code:
-        assert done.stderr.splitlines()[-1] == "error: node: its process ended by signal SIGKILL"
+        last = "error: node: its process ended by signal SIGKILL; it is not started again (max_restarts: 5 in 60 s)"
+        assert done.stderr.splitlines()[-1] == last
 
 
 def test_what_a_node_reads_from_standard_input_is_empty(two: Callable[[str], str]) -> None:
@@ -307,7 +308,9 @@ def test_a_node_that_dies_is_named(launched: Launched) -> None:
     assert launched.until_gone() < ENDED_S
     _, err = launched.end()
     assert launched.process.returncode == 1
-    assert err.splitlines()[-1] == "error: node: its process ended by signal SIGKILL"
+    assert err.splitlines()[-1] == (
+        "error: node: its process ended by signal SIGKILL; it is not started again (restart_policy: never)"
+    )
 
 
 def test_nodes_do_not_outlive_their_supervisor(launched: Launched) -> None:

@@ -426,3 +426,23 @@ def test_a_disk_that_is_full_when_a_change_is_made_ends_no_run_and_is_told_once(
         "what it takes to resume the run is written again",
     ]
     assert next(room), "there was no reason to write it once more"
+
+
+@pytest.mark.parametrize(
+    ("terms", "why"),
+    [
+        (ProcessTerms(restart_policy="never"), "restart_policy: never"),
+        (ProcessTerms(max_restarts=1), "max_restarts: 1 in 60 s"),
+        (ProcessTerms(max_restarts=1, restart_window_s=None), "max_restarts: 1"),
+    ],
+)
+def test_what_is_not_started_again_says_how_it_ended_and_by_which_terms(terms: ProcessTerms, why: str) -> None:
+    order = Order()
+    child = Child(cast(NodeOrder, order), cast(Any, Process()), cast(Any, None), came_up=True, code=-9)
+    child.culprit = "it is in observe of top in epoch 7, past the deadline"
+    restarts = Restarts(terms)
+    while restarts.delay_s(child) is not None:
+        pass
+    assert str(child.not_started_again(restarts.refused)) == (
+        f"top: its process ended by signal SIGKILL ({child.culprit}); it is not started again ({why})"
+    )
