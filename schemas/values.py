@@ -20,6 +20,9 @@ ExtHook = Callable[[int, bytes], Value]
 Names = tuple[str, ...]
 Types = frozenset[type]
 
+SENDABLE = "None, bool, int, float, str, bytes, and tuples, lists, dicts and arrays of such"
+"""For errors: what a value is."""
+
 _PRESCAN_BYTES = 1024
 _PATH_CHARS = 200
 _KEPT_BYTES = 1 << 16
@@ -144,7 +147,7 @@ def replace_numpy(value: Any) -> Any:
             return plain
     if isinstance(value, int):
         raise SchemaError("an int of more than 64 bits cannot be sent")
-    raise SchemaError(f"a {type(value).__name__} cannot be sent; see hierax.schemas.values for what can")
+    raise SchemaError(f"a {type(value).__name__} cannot be sent; {SENDABLE} can")
 
 
 def array_in_place(value: Any) -> Any:

@@ -96,7 +96,7 @@ def test_the_encoding_keeps_the_order_of_keys_and_tells_types_apart() -> None:
 @pytest.mark.parametrize(
     ("value", "where", "what"),
     [
-        ({1, 2}, "value", "a set cannot be sent"),
+        ({1, 2}, "value", "a set cannot be sent; None, bool, int, float, str, bytes, and tuples"),
         ([0, {"pose": {1}}], "value[1].pose", "a set cannot be sent"),
         ({"pose": Pose()}, "value.pose", "a Pose cannot be sent"),
         ({"a": [np.array([None])]}, "value.a[0]", "dtype object"),
