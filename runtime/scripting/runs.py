@@ -369,6 +369,8 @@ def _prepared(
     for name, value, least in (("epochs", epochs, 1), ("seed", seed, 0)):
         if value is not None and not (isinstance(value, int) and value >= least):
             raise HierarchyError(f"{name}: expected a whole number from {least} on, got {value!r:.80}")
+    if isinstance(settings, (str, Mapping)) or not all(isinstance(each, str) for each in settings):
+        raise HierarchyError(f"settings: expected a list of texts PATH=VALUE, got {settings!r:.80}")
     if isinstance(what, Hierarchy) and settings:
         raise HierarchyError(
             "settings are for deployment files; a Hierarchy is given its parameters by functools.partial"

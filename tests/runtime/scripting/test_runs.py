@@ -228,6 +228,9 @@ def test_what_is_no_part_and_no_number_is_refused(start: Start) -> None:
 def test_shipped_deployments_run_by_their_names() -> None:
     report = hierax.run("letters", settings=["letters=C?T"]).report()
     assert report.nodes["word"].metrics["CAT"] == pytest.approx(1.0)
+    for wrong in ("letters=C?T", {"letters": "C?T"}, [("letters", "C?T")]):
+        with pytest.raises(HieraxError, match=r"^settings: expected a list of texts PATH=VALUE, got "):
+            hierax.run("letters", settings=wrong)  # type: ignore[arg-type]
     with pytest.raises(HieraxError, match="settings are for deployment files"):
         hierax.run(toys(), settings=["a=1"])
 
