@@ -191,12 +191,20 @@ class RosterSupervisor(ProcessSupervisor):
                 self.tasks.start_soon(self._replace, [child])
 
     def _on_answer(self, request: str, epoch: int, refusal: str) -> None:
-        """The owner says what has become of a change; where it is in force, its new nodes are kept as it says."""
+        """It is known what has become of a change; where it is in force, its new nodes are kept as it says."""
         terms = self.changes.answer(request, epoch, refusal)
-        if terms is not None and not refusal:
+        if terms is not None and refusal:
+            self._turn_away(request, refusal)
+        elif terms is not None:
             self.orders.adopt(request, terms)
             self._restarts.update({name: Restarts(each) for name, each in terms.items()})
             self.save()
+
+    def _turn_away(self, request: str, why: str) -> None:
+        """Tell those to go that were started for a change: the owner may not have heard of them, or be a new one."""
+        for child in self.children:
+            if child.order.request == request and child.alive and self.members.get(child.name) != child.token:
+                self.tasks.start_soon(child.send, encode_control(Dismiss(why)))
 
     def save(self) -> None:
         """Write down what it takes to go on with the run; where that cannot be, the run does without, and it is tried

@@ -123,6 +123,8 @@ class Arrivals(OwnerPart):
             self._on_newcomer(word, request)
         elif plan is not None and plan.request is not None and plan.request.key == word.request:
             return
+        elif word.request and not self._answers.knows(word.request):
+            return  # what it was started for is yet on its way here; it offers itself again
         elif word.request or name not in members.roster.nodes:
             self._effects.send_order(process, Dismiss(f"{name}: nobody asks for it (any more)"))
         elif word.epoch != NEVER and word.version < members.born[name][0]:

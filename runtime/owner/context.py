@@ -84,6 +84,10 @@ class Answers:
             self._given.popitem(last=False)
         self._effects.answer(key, epoch, refusal)
 
+    def knows(self, key: str) -> bool:
+        """Whether a change was asked for, and is in force or answered."""
+        return key in self._given or self.owes(key)
+
     def owes(self, key: str) -> bool:
         """Whether a change is in force, and nobody was told yet."""
         return any(each[0] == key for each in self._owed)

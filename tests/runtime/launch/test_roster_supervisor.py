@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import anyio
@@ -31,7 +32,7 @@ from hierax.runtime.launch.hosts import Hosts
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.transport.hub import Hub
-from hierax.schemas.control import Control, Lost, Propose, encode_control
+from hierax.schemas.control import Control, Dismiss, Lost, Propose, decode_control, encode_control
 from hierax.schemas.roster import Detach, Reference, Roster
 
 
@@ -392,6 +393,31 @@ def test_what_is_asked_for_while_the_worlds_next_process_is_started_reaches_that
 
     supervised(main)
     assert told == [encode_control(proposal)]
+
+
+def test_a_change_that_is_refused_leaves_no_process_that_was_started_for_it() -> None:
+    """One of them has ended, and the owner has not heard of the other, or is a new one."""
+    told: list[tuple[str, Any]] = []
+
+    class Listens(Process):
+        async def send(self, data: bytes) -> None:
+            told.extend(Frames().feed(data))
+
+    def newcomer(supervisor: RosterSupervisor, name: str, request: str) -> None:
+        order = cast(NodeOrder, SimpleNamespace(name=name, process=f"{name}.1", request=request))
+        supervisor._children[f"{name}.1"] = Child(order, cast(Any, Listens()), cast(Any, None))
+
+    async def main(supervisor: RosterSupervisor) -> None:
+        supervisor.members = {"world": "w"}
+        for name, request in (("low", "c1"), ("high", "c1"), ("top", "c2")):
+            newcomer(supervisor, name, request)
+        supervisor._children["low.1"].code = 1
+        supervisor.changes.add(Propose("c1", Detach("top").plain()), {})
+        said = {"status": ANSWER, "request": "c1", "epoch": 0, "refusal": "low: no camera"}
+        supervisor._take(supervisor.current["world"], said)
+
+    supervised(main)
+    assert [(token, decode_control(word)) for token, word in told] == [("high.1", Dismiss("low: no camera"))]
 
 
 def test_a_disk_that_is_full_when_a_change_is_made_ends_no_run_and_is_told_once() -> None:

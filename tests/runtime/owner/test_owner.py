@@ -204,6 +204,17 @@ def test_a_newcomer_that_does_not_come_or_cannot() -> None:
     assert owned.hear(join("top.3", request="c3")) == [("top.3", Dismiss("top: nobody asks for it (any more)"))]
 
 
+def test_who_is_here_before_the_change_that_it_was_started_for_may_offer_itself_again() -> None:
+    """The one comes over Zenoh and the other by a pipe, which is read by another thread."""
+    owned = begun()
+    assert owned.hear(join("top.1", request="c1")) == []
+    owned.hear(propose(TOP))
+    assert "top.1" in prepares(owned.hear(join("top.1", request="c1")))
+    owned.ready(1, "high.1", "world.1", "top.1")
+    owned.commit()
+    assert owned.hear(join("top.2", request="c1")) == [("top.2", Dismiss("top: nobody asks for it (any more)"))]
+
+
 def test_who_says_nothing_is_named() -> None:
     owned = begun(settings=SETTINGS_PATIENT)
     owned.hear(propose(TOP), join("top.1", request="c1"))
