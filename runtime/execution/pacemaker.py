@@ -139,10 +139,12 @@ class SteadyClock:
     """Gives seconds; it has to be asked again and again, within `GAP_S`.
 
     Where a process was stopped, or its machine was asleep, it must not blame others for the time that has passed
-    meanwhile: they may have said all they had to."""
+    meanwhile: they may have said all they had to. Who asks between long pieces of work of its own has some of each
+    `counted`, or its time would stand still."""
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic, counted_s: float = 0.0) -> None:
         self._now = now  # seconds, never going back
+        self._counted_s = counted_s  # how much counts of a longer time in which nobody has asked
         self._lock = threading.Lock()
         self._asked_s = now()
         self._left_out_s = 0.0
@@ -152,5 +154,5 @@ class SteadyClock:
             now = self._now()
             gap_s, self._asked_s = now - self._asked_s, now
             if gap_s > GAP_S:
-                self._left_out_s += gap_s
+                self._left_out_s += gap_s - self._counted_s
             return now - self._left_out_s

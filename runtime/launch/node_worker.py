@@ -23,7 +23,7 @@ from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.observers import Observers
-from hierax.runtime.execution.pacemaker import Pacemaker, SteadyClock, call_in
+from hierax.runtime.execution.pacemaker import GAP_S, Pacemaker, SteadyClock, call_in
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.host.scheduling import ask_scheduler
 from hierax.runtime.launch import frames
@@ -387,7 +387,8 @@ class NodeWorker:
             if told is None:
                 return None
             processes = {**told, order.name: order.process}
-        parts = (seat, self._send_order, self.pipe, slots, pacemaker, policy, SteadyClock(), processes, roster)
+        clock = SteadyClock(counted_s=GAP_S)  # the thread that asks it is also the one that is in the world's operators
+        parts = (seat, self._send_order, self.pipe, slots, pacemaker, policy, clock, processes, roster)
         pauses = order.staleness is not None  # in free running it has turns
         world = self._world = WorldMember(*parts, on_uncertain_act=order.on_uncertain_act, pauses=pauses)
         last = pacemaker.chain

@@ -18,3 +18,14 @@ def test_a_gap_in_which_nobody_looked_is_left_out(steps: list[float], counted: f
         now += step
         clock()
     assert clock() - began == pytest.approx(counted)
+
+
+def test_of_ones_own_work_some_counts_however_long_each_piece_of_it_takes() -> None:
+    """Else what nobody answers would be waited for as long as a world is at work in each of its epochs."""
+    now = 100.0
+    clock = SteadyClock(lambda: now, counted_s=GAP_S)
+    began = clock()
+    for _ in range(20):
+        now += 3 * GAP_S
+        clock()
+    assert clock() - began == pytest.approx(20 * GAP_S)
