@@ -51,6 +51,7 @@ class RecorderChild:
         self.is_up = False  # whether it listens
         self._notify = notify  # tells people what happens
         self._process: anyio.abc.Process | None = None
+        self._settled = anyio.Event()
         self._ended = anyio.Event()
 
     @property
@@ -63,7 +64,7 @@ class RecorderChild:
         await self._send(json.dumps({RENEW: secret}))
 
     async def start(self, info: RunInfo, endpoint: str, zenoh_config: Any, secret: str, access: Any) -> None:
-        """Start the process and give it its order; it need not listen yet, as the nodes' processes wait for it."""
+        """Start the process and give it its order; it does not listen yet."""
         request = self._request
         with started_deaf():
             self._process = await anyio.open_process(
@@ -87,6 +88,10 @@ class RecorderChild:
         }
         await self._send(json.dumps(order))
 
+    async def settle(self) -> None:
+        """Wait until it listens, or has ended."""
+        await self._settled.wait()
+
     async def listen(self) -> None:
         process = self._process
         assert process is not None
@@ -103,6 +108,7 @@ class RecorderChild:
         if self._request.ending is None and not self._request.failure:
             self._request.failure = f"the recorder's process ended {how_ended(process.returncode)}"
             self._notify(f"{self._request.failure}; the run goes on, and is not recorded any further")
+        self._settled.set()
         self._ended.set()
 
     async def finish(self, last: int | None) -> None:
@@ -113,17 +119,19 @@ class RecorderChild:
         await self._send(json.dumps({LAST: last}))
         if process.stdin is not None:
             await process.stdin.aclose()
-        with anyio.move_on_after(FINISH_TIMEOUT_S):
+        with anyio.move_on_after(FINISH_TIMEOUT_S if self.is_up else 0.0):  # else it has heard nothing
             await self._ended.wait()
         if not self._ended.is_set():
             self._request.failure = f"the recorder did not come to its end within {FINISH_TIMEOUT_S:g} s"
             process.kill()
+            await process.wait()
         if process.stdout is not None:
             await process.stdout.aclose()
 
     def _take(self, said: dict[str, Any]) -> None:
         if said["status"] == LISTENING:
             self.is_up = True
+            self._settled.set()
         elif said["status"] == RENEWED:
             self.renewals += 1
         elif said["status"] == DONE:

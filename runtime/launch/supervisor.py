@@ -211,7 +211,8 @@ class Supervisor:
             self._hosts.serve(self._tasks, self._processes.overhearing, self._notify)
             try:
                 await self._start_recorder()
-                await self._start_all()
+                if not self._broken.is_set():
+                    await self._start_all()
                 async with Requests(self._processes, self._audit).served(self._hub):
                     await self._until_finished(begun_s)
                 if self._graceful is None:
@@ -254,14 +255,23 @@ class Supervisor:
         self._hub.note(what)
 
     async def _start_recorder(self) -> None:
+        """Nodes' processes are started when it listens: they wait for it, too, but not for as long as it may take to
+        come up on a busy machine. Where it cannot listen the run goes on without."""
         if self._recorder is None:
             return
         orders = self._orders
         info = orders.info(from_start=not orders.resumes)
         secret, access = orders.recorder_secret(), orders.access.plain()
         await self._recorder.start(info, orders.hub, self._deployment.zenoh, secret, access)
-        orders.recorders.expect()
         self._tasks.start_soon(self._recorder.listen)
+        timeout_s = self._deployment.start_timeout_s
+        async with self._unless_broken():
+            with anyio.move_on_after(timeout_s) as patience:
+                await self._recorder.settle()
+            if patience.cancelled_caught:
+                self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {self._recorder.name}"))
+        if self._recorder.is_up:
+            orders.recorders.expect()
 
     def _shown(self) -> list[Shown]:
         """The processes that show certificates, beside this one."""
