@@ -78,7 +78,7 @@ def report_ending(file: Path, ending: "Ending") -> int:
         if not count:
             notify(f"--exclude {pattern}: nothing came on such a key")
     if not ending.last:
-        notify(f"{file}: no epoch was committed, so it is not written")
+        notify(f"{file}: no epoch was {'heard' if ending.lost else 'committed'}, so it is not written")
     if ending.cut:
         notify(f"{file}: it ends with epoch {ending.last} ({ending.cut})")
     for gap in ending.cut_short[:SHOWN]:

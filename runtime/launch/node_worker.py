@@ -332,14 +332,14 @@ class NodeWorker:
         self._recorded = wanted
         if not wanted and self._witness is not None:
             observers.unwatch(self._witness)
-        elif self._witness is not None:  # the same one again: what nobody was told of in between is a gap
-            self._witness.resume()
-            observers.watch(self._witness)
         elif wanted:
             is_world = self.order.owner is not None
             told, roster = self._publisher, self._roster if is_world else None
-            self._witness = Witness(self.order.name, lambda: observers.engine, told.step, told.roster, roster)
+            if self._witness is None:  # else the same one again: what nobody was told of in between is a gap
+                self._witness = Witness(self.order.name, lambda: observers.engine, told.step, told.roster, roster)
+            self._witness.resume()
             observers.watch(self._witness)
+            self._witness.look()
 
     def _timing(self) -> dict[str, Value]:
         """What the node and the world are held to, and how often they do not keep it."""

@@ -124,6 +124,8 @@ class Recorder:
             ledger.last = min(ledger.last, ledger.cut)  # what was held told of later epochs, too
             last = None if last is None else min(last, ledger.cut)
         ledger.cut = None
+        if ledger.from_start and last and not ledger.last:  # nor was anybody heard who could say what lacks
+            ledger.add(Gap(last, "all epochs up to this one", last))
         gaps, lost = ledger.close(last if self._barrier else None)
         first = ledger.first if ledger.last >= ledger.first else 0
         cut_short = tuple(ledger.cut_short)

@@ -38,7 +38,7 @@ class Witness(Watcher):
         self._number = 0
         self._last = 0
         self._fresh = True
-        self._resumed = False
+        self._is_late = False  # whether the node may have done something that nobody was told of
         self._passages: list[Passage] = []
         self._begun: dict[tuple[int, int], tuple[int, int, bytes, _Used]] = {}  # roster, instance, start and inputs
         self._chain = (0, b"")
@@ -46,11 +46,18 @@ class Witness(Watcher):
         self._told_s = 0.0
 
     def resume(self) -> None:
-        """Somebody listens again: the epochs that nobody was told of count as steps that lack."""
+        """Somebody listens, for the first time or again: the epochs that nobody was told of count as steps that lack.
+
+        `look` follows, when it sees all that the node does."""
         self._fresh = True
         self._passages = []
         self._begun = {}
-        self._resumed = self._number > 0
+        self._is_late = True
+
+    def look(self) -> None:
+        """Where the node has not begun, nothing was missed."""
+        engine = self.engine()
+        self._is_late = engine is not None and engine.begun
 
     def received(self, message: Message) -> None:
         header = message.header
@@ -88,8 +95,9 @@ class Witness(Watcher):
             return  # the epoch was begun before anybody recorded
         if self.roster is not None:
             self._publish_roster(self.roster())
-        self._number += max(step.epoch - self._last, 1) if self._resumed else 1
-        self._resumed = False
+        lacking = max(step.epoch - self._last, 1) if self._number else 2  # of what lacks before the first, at least one
+        self._number += lacking if self._is_late else 1
+        self._is_late = False
         self._last = step.epoch
         passages, self._passages = self._passages, []
         roster, instance, start, used = begun

@@ -67,6 +67,15 @@ def test_what_is_left_out_is_named_by_those_who_said_and_heard_it(recording: Rec
     }
 
 
+def test_a_run_of_which_nothing_was_heard_is_known(recording: Recording) -> None:
+    ending = Recorder(recording.info, None).finish(12)
+    assert (ending.last, ending.lost) == (0, 12)
+    assert [str(gap) for gap in ending.gaps] == ["epoch 12: all epochs up to this one"]
+    assert Recorder(recording.info, None).finish(0).lost == 0, "it had none"
+    joined = replace(recording.info, from_start=False)
+    assert Recorder(joined, None).finish(12).lost == 0, "it went at once"
+
+
 def test_a_run_that_went_on_without_its_recorder_is_known(recording: Recording) -> None:
     recorder = Recorder(recording.info, None)
     for entry in recording.entries():

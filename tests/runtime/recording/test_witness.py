@@ -10,10 +10,11 @@ from support.flawed import DEPLOYMENT
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution import single
 from hierax.runtime.execution.runner import NodeRunner
+from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.witness import Witness
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.steps import NodeStep, decode_step, encode_step
+from hierax.schemas.steps import NodeStep, Passage, decode_step, encode_step
 
 
 class Deaf(Witness):
@@ -30,6 +31,22 @@ class Deaf(Witness):
             self.resume()
         elif not gone <= epoch < back:
             super().completed(completed)  # type: ignore[arg-type]
+
+
+class Late(Witness):
+    """Sees nothing before the node has sensed in its first epoch."""
+
+    def __init__(self, runner: NodeRunner, told: list[NodeStep]) -> None:
+        super().__init__("low", lambda: runner.engine, lambda data: told.append(decode_step(data)), lambda _: None)
+        self._sees = False
+
+    def _passed(self, passage: Passage) -> None:
+        if self._sees:
+            super()._passed(passage)
+        elif passage.sent:
+            self._sees = True
+            self.resume()
+            self.look()
 
 
 def steps(tmp_path: Path, gone: int, back: int) -> list[NodeStep]:
@@ -98,3 +115,25 @@ def test_a_step_that_is_larger_than_a_message_may_be_ends_no_run(
         f"epoch {epoch} of low is not recorded: its step has {size}"
         for epoch, size in enumerate((259, 259, 258) if not kept else (), 1)
     ]
+
+
+def test_who_listens_late_is_told_that_something_lacks_and_finds_no_fault_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "flawed.yaml"
+    path.write_text(DEPLOYMENT, encoding="utf-8")
+    told: list[NodeStep] = []
+
+    def watch(name: str, runner: NodeRunner) -> None:
+        if name == "low":
+            runner.watch(Late(runner, told))
+
+    deployment = read_deployment(path)
+    single.run(deployment, epochs=3, seed=0, watch=watch)
+    assert [(step.epoch, step.number) for step in told] == [(1, 2), (2, 3), (3, 4)]
+    assert [len(step.passages) < 6 for step in told] == [True, False, False]
+    ledger, checker = Ledger(from_start=True), Checker()
+    checker.roster(deployment.roster)
+    for step in told:
+        ledger.step(step)
+        checker.step(step)
+    assert "epoch 1: steps of low before this one" in map(str, ledger.close()[0])
+    assert checker.violations == []
