@@ -144,6 +144,7 @@ class Requests:
         except SchemaError as error:
             self._audit.refused(str(error), asker(query))
             raise
+        await self._processes.started.wait()
         try:
             return await self._begin_if_room(change, query)
         except (HieraxError, SchemaError) as error:

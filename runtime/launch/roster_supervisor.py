@@ -43,6 +43,7 @@ class RosterSupervisor(ProcessSupervisor):
         super().__init__(tasks, Overhearing(orders.run_id, lambda: self.epoch), orders.terms, notify, fail)
         self.orders = orders  # what the processes are started with
         self.changes = PendingChanges()  # those that others have asked for
+        self.started = anyio.Event()  # set when there are processes of all nodes that the run begins, or goes on, with
         self.begun = anyio.Event()  # set when the run has begun: the world has recorded that, or goes on with a record
         self.finished = anyio.Event()  # set when the world has committed its last epoch
         self.current: dict[str, Child] = {}  # the last process of each node that was started here

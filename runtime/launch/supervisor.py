@@ -178,7 +178,6 @@ class Supervisor:
         self._broken_by = broken_by  # in the place of signals
         self._broken = anyio.Event()
         self._why: Exception | None = None
-        self._are_started = False
         self._start_s: float | None = None
         self._signals = 0
         self._graceful: GracefulEnd | None = None
@@ -210,10 +209,10 @@ class Supervisor:
             self._tasks.start_soon(self._watch_signals)
             self._hosts.serve(self._tasks, self._processes.overhearing, self._notify)
             try:
-                await self._start_recorder()
-                if not self._broken.is_set():
-                    await self._start_all()
                 async with Requests(self._processes, self._audit).served(self._hub):
+                    await self._start_recorder()
+                    if not self._broken.is_set():
+                        await self._start_all()
                     await self._until_finished(begun_s)
                 if self._graceful is None:
                     await self._collect()
@@ -300,7 +299,7 @@ class Supervisor:
             if self._broken.is_set():
                 return
         await self._processes.tell_left()
-        self._are_started = True
+        self._processes.started.set()
 
     async def _until_finished(self, begun_s: float) -> None:
         """Wait for the processes to come up, then for the world to finish."""
@@ -398,7 +397,7 @@ class Supervisor:
         """A signal has come: the run ends with the epoch under way, or with the one before it."""
         if self._broken.is_set() or self._processes.ending:
             return  # it comes to its end already
-        if self._are_started and await self._processes.is_under_way():
+        if self._processes.started.is_set() and await self._processes.is_under_way():
             self._graceful = GracefulEnd(self._processes, self._deployment, self._notify)
             await self._graceful.finish_epoch()
         self._break(_Interruption())

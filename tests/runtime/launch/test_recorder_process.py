@@ -5,7 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import anyio
+import anyio.to_thread
 import pytest
 from support.live import TESTS
 
@@ -17,6 +20,7 @@ from hierax.runtime.launch.recorder_process import RecordingRequest
 from hierax.runtime.launch.supervisor import Supervisor, launch
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.writing import claimed
+from hierax.runtime.transport.launch_client import LaunchClient
 
 Launch = Callable[..., tuple[Report, RecordingRequest]]
 EPOCHS = 3
@@ -48,15 +52,20 @@ def test_no_process_is_started_before_the_recorder_listens(
 ) -> None:
     """On a busy machine it may take longer to come up than nodes wait for it, and the first epochs would lack."""
     listened: list[bool] = []
+    told: list[Any] = []
     start_all = Supervisor._start_all
 
     async def looks(supervisor: Supervisor) -> None:
         listened.append(supervisor._recorder is not None and supervisor._recorder.is_up)
+        hub = supervisor._hub
+        with LaunchClient(hub.endpoint, secret=hub.secret) as client:
+            told.append(await anyio.to_thread.run_sync(client.ask, {"ask": "ps"}))
         await start_all(supervisor)
 
     monkeypatch.setattr(Supervisor, "_start_all", looks)
     _, request = recorded()
     assert listened == [True]
+    assert [(each["epoch"], each["nodes"]) for each in told] == [(0, {})], "it can be asked meanwhile"
     assert request.ending is not None
     assert (request.ending.first, request.ending.last, request.ending.lost) == (1, EPOCHS, 0)
     assert Recording.open(tmp_path / "one.mcap").ending == request.ending

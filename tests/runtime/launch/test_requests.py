@@ -28,6 +28,9 @@ def asked(terms: dict[str, Any] | None, name: str = "big", staleness: Staleness 
     async def start(order: str) -> None:
         done.append(order)
 
+    async def is_started() -> None:
+        pass
+
     async def send_to_owner(word: Propose) -> None:
         done.append(word.request)
         heard.append(word)
@@ -44,10 +47,12 @@ def asked(terms: dict[str, Any] | None, name: str = "big", staleness: Staleness 
         terms=lambda name: ProcessTerms(on_loss="detach", rejoin_timeout_s=3),
     )
     members = {"world": "0", "big": "1"}
+    started = SimpleNamespace(wait=is_started)
     fake = SimpleNamespace(
         orders=orders,
         changes=PendingChanges(),
         members=members,
+        started=started,
         start=start,
         send_to_owner=send_to_owner,
         save=lambda: done.append("written down"),
