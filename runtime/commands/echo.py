@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
+from hierax.runtime.commands.errors import notify
 from hierax.runtime.commands.options import Connect, Format, Full, Key, KeyFile, OutputFormat, Run, option
 from hierax.runtime.commands.which_launch import client_at, launch_meant
 
@@ -38,7 +39,7 @@ def echo(
             print(json.dumps(as_json(each, full), allow_nan=False) if is_json else line(each), flush=True)
             if number == count:
                 return 0
-    print("the launch is over")
+    notify("the launch is over")  # standard output has messages alone, as lines of JSON, too
     return 0
 
 

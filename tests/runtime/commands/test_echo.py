@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Iterator
+from contextlib import nullcontext
 from typing import Any, cast
 
 import pytest
 from support.live import Live
 
+from hierax.runtime.commands import echo
 from hierax.runtime.commands.echo import echoes, line
 from hierax.runtime.commands.main import main
 from hierax.runtime.tools.echoes import Echo
@@ -62,6 +64,20 @@ def test_gaps_and_attempts_are_told() -> None:
     assert line(Echo(message, 77, 31.25, 4)) == (
         "ctx/top/arm epoch 12, attempt 2 (4 before it not seen): 31.25/s, 77 bytes\n  ['x']"
     )
+
+
+@pytest.mark.parametrize("output_format", ["text", "json"])
+def test_standard_output_has_messages_alone(
+    output_format: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen = Echo(Message(Header(OBSERVATIONS, "world", "arm", 1), ()), 77, None, 0)
+    monkeypatch.setattr(echo, "launch_meant", lambda *_: None)
+    monkeypatch.setattr(echo, "client_at", lambda _: nullcontext())
+    monkeypatch.setattr(echo, "echoes", lambda *_: iter([seen]))  # and the launch is over
+    assert main(["echo", "**", "--format", output_format]) == 0
+    told = capsys.readouterr()
+    assert len(told.out.splitlines()) == (1 if output_format == "json" else 2)
+    assert told.err == "hierax: the launch is over\n"
 
 
 class Shown:
