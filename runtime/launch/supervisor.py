@@ -77,7 +77,8 @@ def launch(
     overrides: Sequence[str] = (),  # likewise
     overwrite: bool = False,  # whether the run that is in `state` gives way to this one
     recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
-    opened: Callable[[str, str], None] = lambda endpoint, secret: None,  # told where it is reached, and its secret
+    opened: Callable[[str, str], None] = lambda endpoint, secret: None,  # told where it is reached, and its secret, once
+    # all nodes are up, and it answers
     broken: threading.Event | None = None,  # set by who wants it to end, as a signal does; needed outside main threads
     forks: ForkServer | None = None,  # has the processes forked, where it was started already; is closed at the end
 ) -> Report:
@@ -110,9 +111,9 @@ def launch(
         hub.watch_recorders(orders.recorders.hear_of)
         roster = orders.roster()
         orders.save()
+        up = partial(opened, hub.endpoint, secret)
         try:
-            opened(hub.endpoint, secret)
-            return anyio.run(_run, orders, roster, hub, found, forks, notify, recording, begun_s, broken)
+            return anyio.run(_run, orders, roster, hub, found, forks, notify, recording, begun_s, broken, up)
         except _Interruption as error:
             raise KeyboardInterrupt from error
         except Exception as error:
@@ -139,13 +140,14 @@ async def _run(
     recording: RecordingRequest | None,
     begun_s: float,
     broken: threading.Event | None,
+    up: Callable[[], None],
 ) -> Report:
     deployment = orders.deployment
     path = str(deployment.path.resolve())
     pid, is_open = os.getpid(), deployment.open
     running = Running(orders.run_id, deployment.name, hub.endpoint, pid, path, orders.overrides, is_open)
     hosts = Hosts(deployment, found, forks)
-    supervisor = Supervisor(orders, roster, hub, hosts, notify, recording, broken)
+    supervisor = Supervisor(orders, roster, hub, hosts, notify, recording, broken, up)
     try:
         with known_here(running, orders.secret):
             await supervisor.run(begun_s)
@@ -167,6 +169,7 @@ class Supervisor:
         notify: Notify,
         recording: RecordingRequest | None,
         broken_by: threading.Event | None,
+        up: Callable[[], None],
     ) -> None:
         deployment = orders.deployment
         self._deployment = deployment
@@ -176,6 +179,7 @@ class Supervisor:
         self._hub = hub  # through which the processes find one another
         self._print = notify  # tells people what happens
         self._broken_by = broken_by  # in the place of signals
+        self._up = up  # told when all nodes are up
         self._broken = anyio.Event()
         self._why: Exception | None = None
         self._start_s: float | None = None
@@ -309,6 +313,8 @@ class Supervisor:
             late = await self._processes.begin(timeout_s)
             if late:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
+            else:
+                self._up()
             self._start_s = time.perf_counter() - begun_s
             self._tasks.start_soon(self._processes.watch_world)
             self._tasks.start_soon(renew_again_and_again, self._shown, self._deployment.certificates_s, self._notify)

@@ -8,6 +8,7 @@ import threading
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +41,6 @@ from hierax.schemas.roster import Change, Detach
 
 _ENDS_S = 5.0  # how long a launch of which a process does not answer may take to be over
 _MOST_TOLD = 10_000  # how many epochs wait until somebody iterates over them; of more than that the oldest are left out
-_OPENS_S = 60.0  # how long a launch may take until it can be reached
 
 _log = logging.getLogger("hierax")
 
@@ -183,7 +183,7 @@ class _Launched(Run):
     def __init__(self, deployment: Deployment, stack: ExitStack, options: Mapping[str, Any]) -> None:
         super().__init__(deployment, stack)
         self._told: queue.SimpleQueue[Epoch | None] = queue.SimpleQueue()
-        self._endpoint: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
+        self._place: Future[tuple[str, str] | None] = Future()  # where it is asked, and its secret; None: never
         self._end = threading.Event()
         self._failure: BaseException | None = None
         self._result: Report | None = None
@@ -205,18 +205,22 @@ class _Launched(Run):
                     self.deployment,
                     progress=tell,
                     notify=_log.warning,
-                    opened=lambda endpoint, secret: self._endpoint.put((endpoint, secret)),
+                    opened=lambda endpoint, secret: self._place.set_result((endpoint, secret)),
                     broken=self._end,
                     **options,
                 )
         except Interrupted as broken:
             self._result = broken.report
+        except KeyboardInterrupt:
+            pass  # `close` has ended it before its nodes were up
         except HieraxError as error:  # what went wrong, did so in another process: how it got here tells nothing
             error.__cause__ = None
             self._failure = error.with_traceback(None)
         except BaseException as error:
             self._failure = error
         finally:
+            if not self._place.done():
+                self._place.set_result(None)
             self._told.put(None)
 
     def __next__(self) -> Epoch:
@@ -257,14 +261,15 @@ class _Launched(Run):
         return int(self._asked().change(change, terms)["epoch"])
 
     def _asked(self) -> LaunchClient:
+        """What asks the launch, once its nodes are up. Raises why they never are."""
         if self._client is None:
+            place = self._place.result()
+            if place is None:
+                raise self._failure or TransportError("the run was ended before it had begun")
             if not self._thread.is_alive():
                 raise TransportError("the run is over")
-            try:
-                endpoint, secret = self._endpoint.get(timeout=_OPENS_S)
-                self._client = LaunchClient(endpoint, secret=secret)
-            except queue.Empty as error:
-                raise HieraxError(f"the launch cannot be reached after {_OPENS_S:g} s") from error
+            endpoint, secret = place
+            self._client = LaunchClient(endpoint, secret=secret)
         return self._client
 
     def _report(self) -> Report:

@@ -31,7 +31,7 @@ Start = Callable[..., hierax.Run]
 MODES = pytest.mark.parametrize("start", [hierax.run, hierax.launch])
 
 
-def toys(of: type[Node] = Summer, **fields: object) -> hierax.Hierarchy:
+def toys(of: Callable[..., Node] = Summer, **fields: object) -> hierax.Hierarchy:
     hierarchy = hierax.Hierarchy("toys", modules=["support.*"], **fields)
     return hierarchy.add("world", Counter).add("sum", of).join("world", "sum", sense=seen)
 
@@ -189,6 +189,29 @@ def test_a_change_after_the_end_is_refused(start: Start) -> None:
         list(run)
         with pytest.raises(HieraxError, match="the run"):
             run.detach("sum")
+
+
+def test_a_launch_that_is_ended_before_it_has_begun_says_so() -> None:
+    run = hierax.launch(toys())
+    run.close()
+    assert list(run) == []
+    for ask in (run.report, lambda: run.belief("sum"), lambda: run.detach("sum")):
+        with pytest.raises(HieraxError, match="the run was ended before it had begun"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    ("hierarchy", "why"),
+    [
+        (toys(zenoh={"nonsense": 1}), "nonsense"),
+        (toys(partial(Refusing, what="made")), "cannot be made"),
+    ],
+)
+def test_a_launch_that_cannot_begin_says_why_whatever_it_is_asked(hierarchy: hierax.Hierarchy, why: str) -> None:
+    with hierax.launch(hierarchy) as run:
+        for ask in (lambda: run.belief("sum"), lambda: run.detach("sum"), run.report):
+            with pytest.raises(HieraxError, match=why):
+                ask()
 
 
 def test_leaving_the_block_ends_a_launch() -> None:
