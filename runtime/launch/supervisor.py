@@ -77,8 +77,7 @@ def launch(
     overrides: Sequence[str] = (),  # likewise
     overwrite: bool = False,  # whether the run that is in `state` gives way to this one
     recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
-    opened: Callable[[str, str], None] = lambda endpoint, secret: None,  # told where it is reached, and its secret, once
-    # all nodes are up, and it answers
+    opened: Callable[[str, str], None] = lambda endpoint, secret: None,  # told when all are up: where, and its secret
     broken: threading.Event | None = None,  # set by who wants it to end, as a signal does; needed outside main threads
     forks: ForkServer | None = None,  # has the processes forked, where it was started already; is closed at the end
 ) -> Report:

@@ -54,9 +54,10 @@ def _module_name(module: str) -> str:
     main = sys.modules[_MAIN]
     spec = getattr(main, "__spec__", None)
     file = getattr(main, "__file__", None)
-    name = spec.name if spec is not None else Path(file).stem if file is not None else _MAIN
+    script = Path(file) if file is not None and Path(file).suffix == ".py" else None  # others nothing can import
+    name = spec.name if spec is not None else _MAIN if script is None else script.stem
     if not all(part.isidentifier() for part in name.split(".")):
-        return _MAIN  # a script that nothing can import
+        return _MAIN  # likewise
     if sys.modules.setdefault(name, main) is not main:
         raise HierarchyError(f"the script {file} is named like module {name!r}, which is loaded: give it another name")
     return str(name)

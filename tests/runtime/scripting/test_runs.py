@@ -295,6 +295,15 @@ def test_a_script_launches_classes_of_its_own(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (0, "4\n"), done.stderr
 
 
+def test_a_command_named_like_a_module_runs_what_modules_have(tmp_path: Path) -> None:
+    """As those are that packages bring, pytest's own among them."""
+    text = "import hierax, house_nodes\nprint(hierax.run(house_nodes.house(), epochs=5).report().nodes['last'].belief)"
+    (tmp_path / "house_nodes.py").write_text(SCRIPT, encoding="utf-8")
+    (tmp_path / "numpy").write_text(text, encoding="utf-8")
+    done = script(tmp_path, "numpy")
+    assert (done.returncode, done.stdout) == (0, "4\n"), done.stderr
+
+
 UNGUARDED = SCRIPT.partition("if __name__")[0] + "hierax.launch(house(), epochs=5).report()"
 LEFT = (
     SCRIPT.partition("if __name__")[0]
