@@ -37,6 +37,10 @@ MAX_NEIGHBOURS = 4096
 
 MAX_NUMBER = (1 << 53) - 1
 """Epochs, attempts, versions and instances in a control message: no run comes near."""
+
+LARGEST = (1 << 63) - 1
+"""A seed, or how many epochs are asked for: what a message carries as a whole number, and a recording, too."""
+
 MAX_EXTENSIONS = 64
 
 MAX_EPOCHS_APART = 10_000

@@ -11,7 +11,8 @@ import typer
 
 from hierax.runtime.commands.checks import made
 from hierax.runtime.commands.errors import CommandError, UsageError
-from hierax.runtime.commands.options import LARGEST, Overrides, option
+from hierax.runtime.commands.options import Overrides, option
+from hierax.schemas.limits import LARGEST
 
 if TYPE_CHECKING:
     from hierax.runtime.tools.services import Service, Written

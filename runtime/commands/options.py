@@ -12,8 +12,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from hierax.runtime.commands.which_launch import keys_here, nodes_here, runs_here
-
-LARGEST = 2**63 - 1  # what a message can carry
+from hierax.schemas.limits import LARGEST
 
 _WORDS = """
 --at EPOCH:CHANGE: Change the roster at the start of an epoch: EPOCH:attach:FILE, EPOCH:detach:NODE[:cascade] or

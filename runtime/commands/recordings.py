@@ -11,7 +11,6 @@ import typer
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError, notify
 from hierax.runtime.commands.options import (
-    LARGEST,
     Format,
     OutputFormat,
     RecordingFile,
@@ -25,6 +24,7 @@ from hierax.runtime.commands.show import in_force_text, print_json
 from hierax.runtime.commands.which_launch import client_at, launch_meant
 from hierax.runtime.host.private_files import check_encodable
 from hierax.runtime.host.streams import printable
+from hierax.schemas.limits import LARGEST
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import Comparison, EpochView

@@ -4,9 +4,10 @@ import time
 from typing import TYPE_CHECKING, Annotated
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import LARGEST, Format, OutputFormat, option
+from hierax.runtime.commands.options import Format, OutputFormat, option
 from hierax.runtime.commands.show import print_json, show_progress
 from hierax.runtime.loading.nearest import did_you_mean
+from hierax.schemas.limits import LARGEST
 
 if TYPE_CHECKING:
     from hierax.runtime.sim.campaign import Scenarios, Summary

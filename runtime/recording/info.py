@@ -19,6 +19,7 @@ from hierax.runtime.host.private_files import errors_named
 from hierax.runtime.host.run_folder import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import shown
 from hierax.schemas.keys import is_name
+from hierax.schemas.limits import LARGEST
 
 FORMAT = 3
 READ = (1, 2, FORMAT)  # what this version reads; the first has neither modules nor a seal, both say more of a staleness
@@ -148,13 +149,12 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
         raise RecordingError(f"its metadata is not what hierax writes: {error!s:.200}") from error
 
 
-_LARGEST = 2**63 - 1
 INFO_TEXTS = tuple(each.name for each in fields(RunInfo) if each.type is str)
 ENDING_TEXTS = ("cut",)
 
 
 def _is_whole(value: object) -> bool:
-    return type(value) is int and 0 <= value <= _LARGEST
+    return type(value) is int and 0 <= value <= LARGEST
 
 
 def _is_text(value: object) -> bool:

@@ -37,6 +37,7 @@ from hierax.runtime.recording.writing import Target, claimed
 from hierax.runtime.scripting.hierarchy import Hierarchy
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
+from hierax.schemas.limits import LARGEST
 from hierax.schemas.roster import Change, Detach
 
 _ENDS_S = 5.0  # how long a launch of which a process does not answer may take to be over
@@ -372,8 +373,8 @@ def _prepared(
 ) -> tuple[Deployment, Target | None, Path | None]:
     """What is run, and the places that are written to, which the run has for itself."""
     for name, value, least in (("epochs", epochs, 1), ("seed", seed, 0)):
-        if value is not None and not (isinstance(value, int) and value >= least):
-            raise HierarchyError(f"{name}: expected a whole number from {least} on, got {value!r:.80}")
+        if value is not None and not (isinstance(value, int) and least <= value <= LARGEST):
+            raise HierarchyError(f"{name}: expected a whole number from {least} to {LARGEST}, got {value!r:.80}")
     if isinstance(settings, (str, Mapping)) or not all(isinstance(each, str) for each in settings):
         raise HierarchyError(f"settings: expected a list of texts PATH=VALUE, got {settings!r:.80}")
     if isinstance(what, Hierarchy) and settings:

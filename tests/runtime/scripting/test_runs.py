@@ -25,6 +25,7 @@ from hierax.runtime.execution.single import run as run_at_once
 from hierax.runtime.launch.run_file import known_runs
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.scripting import runs
+from hierax.schemas.limits import LARGEST
 from hierax.schemas.roster import Detach
 
 Start = Callable[..., hierax.Run]
@@ -241,9 +242,9 @@ def test_recordings_verify(start: Start, tmp_path: Path, capsys: pytest.CaptureF
 
 @MODES
 def test_what_is_no_part_and_no_number_is_refused(start: Start) -> None:
-    for options, why in [({"epochs": 0}, "epochs: expected a whole number from 1"), ({"seed": -1}, "seed: expected a")]:
-        with pytest.raises(HieraxError, match=why):
-            start(toys(), **options)
+    for name, value in [("epochs", 0), ("seed", -1), ("seed", 1 << 63), ("epochs", 1 << 63)]:
+        with pytest.raises(HieraxError, match=f"{name}: expected a whole number from . to {LARGEST}, got {value}"):
+            start(toys(), **{name: value})
     with start(toys()) as run, pytest.raises(HieraxError, match=r"expected a hierax\.Hierarchy .* got 'more\.yaml'"):
         run.attach("more.yaml")  # type: ignore[arg-type]
 
