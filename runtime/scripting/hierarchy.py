@@ -1,10 +1,13 @@
 """A hierarchy described in Python, in the place of a deployment file."""
 
 import inspect
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.node import World
@@ -14,6 +17,16 @@ from hierax.runtime.deployment.read import deployment_of
 from hierax.runtime.deployment.written import yaml_of
 from hierax.runtime.scripting.names import Code, named, script_folders, script_modules
 from hierax.schemas.roster import FUNCTIONS
+
+_BY_PARTIAL = "by `functools.partial` alone, as some are"
+_GIVEN = {
+    "hierarchy": "as the name",
+    "world": "by `add`, as the node whose class derives from World",
+    "nodes": "by `add`",
+    "edges": "by `join`",
+    "probes": "by `probe`",
+}
+"""Fields at the top of a file that are given in another way here."""
 
 
 class Hierarchy:
@@ -32,8 +45,9 @@ class Hierarchy:
     """
 
     def __init__(self, name: str, **fields: Any) -> None:
+        _check_fields(fields, _GIVEN, f"hierarchy {name!r}")
         self.name = name
-        self._fields = fields
+        self._fields = _plain(fields)
         self._world: str | None = None
         self._nodes: dict[str, dict[str, Any]] = {}
         self._edges: dict[str, dict[str, Any]] = {}
@@ -54,7 +68,9 @@ class Hierarchy:
             if self._world is not None:
                 raise HierarchyError(f"node {name!r} is a World, and {self._world!r} is one already; expected one")
             self._world = name
-        self._nodes[name] = {"class": target, **({"parameters": parameters} if parameters else {}), **fields}
+        otherwise = {"class": "in its own place", **({"parameters": _BY_PARTIAL} if parameters else {})}
+        _check_fields(fields, otherwise, f"node {name!r}")
+        self._nodes[name] = {"class": target, **({"parameters": parameters} if parameters else {}), **_plain(fields)}
         return self
 
     def join(
@@ -82,7 +98,7 @@ class Hierarchy:
             for kind, given in zip(FUNCTIONS, (sense, task, context), strict=True)
             if given is not None
         }
-        self._edges[edge] = {**functions, **fields}
+        self._edges[edge] = {**functions, **_plain(fields)}
         return self
 
     def probe(self, node: str, of: Code) -> "Hierarchy":
@@ -111,8 +127,7 @@ class Hierarchy:
         if self._world is None:
             raise HierarchyError(f"hierarchy {self.name!r} has no world: add a node whose class derives from World")
         probes = {"probes": self._probes} if self._probes else {}
-        fields = {key: _plain(value) for key, value in self._fields.items()}
-        top = {"hierarchy": self.name, **fields, "world": self._world}
+        top = {"hierarchy": self.name, **self._fields, "world": self._world}
         return {**top, "nodes": self._nodes, "edges": self._edges, **probes}
 
     def deployment(self) -> Deployment:
@@ -150,9 +165,11 @@ def _function(given: Code, what: str) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """A field's value with lists where Python has tuples, which a file has not."""
+    """A field's value as a file has it: with lists in the place of tuples and arrays, and Python's own numbers."""
     if isinstance(value, dict):
         return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
     return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
 
 
@@ -161,3 +178,10 @@ def _makes_world(of: Code) -> bool:
         of = of.func
     made = of if inspect.isclass(of) else inspect.get_annotations(of, eval_str=True).get("return")
     return inspect.isclass(made) and issubclass(made, World)
+
+
+def _check_fields(fields: Mapping[str, Any], otherwise: Mapping[str, str], what: str) -> None:
+    """Raise `HierarchyError` if one of the fields is given in another way."""
+    for field in fields:
+        if field in otherwise:
+            raise HierarchyError(f"{what}: {field}: expected it {otherwise[field]}, not as a field")

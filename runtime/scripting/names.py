@@ -65,10 +65,8 @@ def _module_name(module: str) -> str:
 
 def _plain(value: Any, what: str) -> Any:
     """A parameter as YAML has it: arrays and tuples as lists."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist(), what)
-    if isinstance(value, np.generic):
-        return value.item()
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, (list, tuple)):

@@ -81,6 +81,19 @@ def test_a_rate_may_be_a_number_of_numpys() -> None:
     assert "rate_hz: 20.0" in hierax.Hierarchy("servo").add("world", SlidingWorld, rate_hz=np.float64(20.0)).text()
 
 
+def test_fields_of_nodes_and_edges_may_be_tuples_and_numbers_of_numpys() -> None:
+    hierarchy = hierax.Hierarchy("servo", epochs=np.int64(3)).add("world", SlidingWorld)
+    hierarchy.add("camera", CameraNode, every=np.int64(2), scheduling={"cpus": (0,)})
+    made = hierarchy.join("world", "camera", sense=position, delay=np.int64(2)).deployment()
+    assert (made.epochs, made.roster.turns["camera"].every, made.roster.edges[0].delay) == (3, 2, 2)
+    assert made.terms["camera"].scheduling == {"policy": "other", "priority": 1, "cpus": [0]}
+
+
+def test_a_text_of_numpys_is_a_text() -> None:
+    hierarchy = hierax.Hierarchy("a").add("world", partial(SlidingWorld, name=np.str_("${b}")))
+    assert "name: $${b}" in hierarchy.text()
+
+
 def inside() -> Any:
     """A class that has no name at the top of a module."""
 
@@ -103,6 +116,13 @@ def inside() -> Any:
         (lambda: hierax.Hierarchy("a").add("n", "CameraNode"), r"node 'n': expected a class, a function"),
         (lambda: servo().add("world", CameraNode), r"there is a node 'world' already"),
         (lambda: servo().add("second", SlidingWorld), r"node 'second' is a World, and 'world' is one already"),
+        (lambda: servo(nodes={}), r"hierarchy 'servo': nodes: expected it by `add`"),
+        (lambda: servo(hierarchy="b"), r"hierarchy 'servo': hierarchy: expected it as the name"),
+        (lambda: servo().add("n", CameraNode, **{"class": "a:B"}), r"node 'n': class: expected it in its own place"),
+        (
+            lambda: servo().add("n", partial(CameraNode, x=1), parameters={"y": 2}),
+            r"node 'n': parameters: expected it by `functools\.partial` alone",
+        ),
         (lambda: servo().join("world", "camera"), r"there is an edge 'world -> camera' already"),
         (lambda: hierax.Hierarchy("a").add("n", CameraNode).deployment(), r"hierarchy 'a' has no world"),
         (
