@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Iterable
 from importlib.machinery import PathFinder
 from pathlib import Path
-from types import ModuleType, UnionType
+from types import ModuleType, SimpleNamespace, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting, check_signature, require_no_world
@@ -199,8 +199,7 @@ def _build(reference: Reference, where: str, allowance: Allowance, kind: type) -
     """A node or probe; what is named is called once it is known to be a class of that kind, or to give one."""
     field = f"{where}.class"
     target = load(reference.target, field, allowance)
-    makes = issubclass(target, kind) if inspect.isclass(target) else _gives(target, kind)
-    if not makes:
+    if not makes(target, kind):
         raise LoadError(_no_class(target, reference, kind), field)
     made = _call(target, reference, where, "class")
     if not isinstance(made, kind):
@@ -208,12 +207,16 @@ def _build(reference: Reference, where: str, allowance: Allowance, kind: type) -
     return made
 
 
-def _gives(target: Any, kind: type) -> bool:
-    """Whether a function says by its annotation that it gives an object of a kind, or of some such kinds."""
+def makes(target: Any, kind: type) -> bool:
+    """Whether something is a class of a kind; or a function that says by its annotation that it gives an object of that
+    kind, or of some such kinds. Its other annotations need not be known here."""
+    if inspect.isclass(target):
+        return issubclass(target, kind)
     if not inspect.isfunction(target):
         return False
     try:
-        said = get_type_hints(target).get("return")
+        returned = SimpleNamespace(__annotations__={"return": target.__annotations__["return"]})
+        said = get_type_hints(returned, inspect.unwrap(target).__globals__)["return"]
     except Exception:  # whatever an annotation's evaluation raises
         return False
     given = get_args(said) if isinstance(said, UnionType) or get_origin(said) is Union else (said,)

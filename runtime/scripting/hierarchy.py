@@ -1,6 +1,5 @@
 """A hierarchy described in Python, in the place of a deployment file."""
 
-import inspect
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -15,6 +14,7 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import Document
 from hierax.runtime.deployment.read import deployment_of
 from hierax.runtime.deployment.written import yaml_of
+from hierax.runtime.loading.loader import makes
 from hierax.runtime.scripting.names import Code, named, script_folders, script_modules
 from hierax.schemas.roster import FUNCTIONS
 
@@ -176,8 +176,7 @@ def _plain(value: Any) -> Any:
 def _makes_world(of: Code) -> bool:
     while isinstance(of, partial):
         of = of.func
-    made = of if inspect.isclass(of) else inspect.get_annotations(of, eval_str=True).get("return")
-    return inspect.isclass(made) and issubclass(made, World)
+    return makes(of, World)
 
 
 def _check_fields(fields: Mapping[str, Any], otherwise: Mapping[str, str], what: str) -> None:

@@ -94,6 +94,19 @@ def test_a_text_of_numpys_is_a_text() -> None:
     assert "name: $${b}" in hierarchy.text()
 
 
+def world_or_world(start: Unknown = None) -> SlidingWorld | OtherWorld:  # type: ignore[name-defined] # noqa: F821
+    return SlidingWorld()
+
+
+class OtherWorld(SlidingWorld):
+    """Another world."""
+
+
+def test_what_a_function_takes_need_not_be_known_where_it_is_named() -> None:
+    with hierax.run(hierax.Hierarchy("a").add("world", world_or_world), epochs=2) as run:
+        assert len(list(run)) == 2
+
+
 def inside() -> Any:
     """A class that has no name at the top of a module."""
 
