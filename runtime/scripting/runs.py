@@ -22,9 +22,11 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import Document, ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import attach_of, replace_of, terms_of
+from hierax.runtime.deployment.written import yaml_of
 from hierax.runtime.execution.output_folder import claimed_output, write_summary
 from hierax.runtime.execution.report import Interrupted, Report
 from hierax.runtime.execution.single import SingleRun
+from hierax.runtime.host.zenoh_settings import names_file
 from hierax.runtime.launch.recorder_process import RecordingRequest
 from hierax.runtime.launch.supervisor import launch as launch_processes
 from hierax.runtime.loading.allowance import module_of, references
@@ -384,7 +386,8 @@ def _prepared(
     if isinstance(what, Hierarchy):  # tools and recordings read its file
         home = Path(stack.enter_context(TemporaryDirectory(prefix="hierax-"))) / f"{what.name}.yaml"
         deployment = replace(what.deployment(), path=home)
-        home.write_text(what.text(), encoding="utf-8")
+        moved = {"zenoh": deployment.zenoh} if names_file(deployment.zenoh) else {}  # which is not beside that file
+        home.write_text(yaml_of({**what.root(), **moved}), encoding="utf-8")
     else:
         deployment = read_deployment(what, settings)
     probes = tuple(replace(each, overwrite=overwrite) for each in deployment.probes)

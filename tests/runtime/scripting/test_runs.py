@@ -20,6 +20,7 @@ from hierax.nodes.servo import MotionNode, position
 from hierax.runtime.commands.main import main
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.node import Node
+from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import Scheduled, attach_of
 from hierax.runtime.execution.single import run as run_at_once
 from hierax.runtime.launch.run_file import known_runs
@@ -213,6 +214,13 @@ def test_a_launch_that_cannot_begin_says_why_whatever_it_is_asked(hierarchy: hie
         for ask in (lambda: run.belief("sum"), lambda: run.detach("sum"), run.report):
             with pytest.raises(HieraxError, match=why):
                 ask()
+
+
+def test_tools_find_the_zenoh_settings_that_a_hierarchy_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bus.json5").write_text("{}", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    with hierax.run(toys(zenoh="bus.json5")) as run:
+        assert read_deployment(run.deployment.path).zenoh == str(tmp_path / "bus.json5")
 
 
 def test_leaving_the_block_ends_a_launch() -> None:
