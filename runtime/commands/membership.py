@@ -1,5 +1,6 @@
 """``hierax attach``, ``detach``, ``replace`` and ``ps``: against a launch that runs."""
 
+import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 WAIT_S = 60.0  # how long `ps --wait` waits
 LOOK_S = 0.1
+_EPOCH = re.compile("[0-9]{1,19}")
 
 
 @offers("run", "connect", "key", "deployment_file", "trust", "output_format")
@@ -113,7 +115,8 @@ def _awaited(options: RunOptions, what: str) -> tuple[list[dict[str, Any]], list
     from hierax.runtime.transport.launch_client import is_gone
     from hierax.runtime.transport.port import TransportError
 
-    wanted = f"committed epoch {what}" if what.isdigit() else f"a node {what!r}"
+    epoch = int(what) if _EPOCH.fullmatch(what) else None
+    wanted = f"a node {what!r}" if epoch is None else f"committed epoch {what}"
     patience_s = time.monotonic() + WAIT_S
     seen: set[str] = set()
     while True:
@@ -121,7 +124,7 @@ def _awaited(options: RunOptions, what: str) -> tuple[list[dict[str, Any]], list
         is_over = False
         try:
             found, silent = _runs(options)
-            if any(each["epoch"] >= int(what) if what.isdigit() else what in each["nodes"] for each in found):
+            if any(what in each["nodes"] if epoch is None else each["epoch"] >= epoch for each in found):
                 return found, silent
             seen.update(f"{each['hierarchy']}, run {each['run']}," for each in found)
             is_over = not found and not silent

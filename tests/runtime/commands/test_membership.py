@@ -138,7 +138,9 @@ def test_a_launch_that_is_over_since_it_was_listed_is_left_out(
 
 
 @pytest.mark.parametrize("which", [(), ("--run", "toys"), ("--connect", "tcp/127.0.0.1:1")])
-@pytest.mark.parametrize(("wanted", "lacks"), [("99", "committed epoch 99"), ("top", "a node 'top'")])
+@pytest.mark.parametrize(
+    ("wanted", "lacks"), [("99", "committed epoch 99"), ("top", "a node 'top'"), ("²", "a node '²'")]
+)
 def test_nobody_waits_for_a_launch_that_is_over(
     launches: FakeLaunches,
     capsys: pytest.CaptureFixture[str],
