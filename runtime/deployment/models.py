@@ -350,6 +350,8 @@ def field_meaning(keys: Keys, top: TopModel = DeploymentModel) -> str:
 
 
 def _model_at(keys: Keys, top: TopModel) -> type[_Model] | None:
+    if keys[:1] == ("nodes",) and keys[2:] == ("scheduling",):  # beside it stand parameters, which are open
+        return SchedulingModel
     return _MODELS.get((keys[0], len(keys))) if keys else top
 
 

@@ -71,6 +71,7 @@ def test_one_value_is_changed(override: str, path: list[str | int], value: objec
             "there is no 'step' in nodes.world; expected one of budget_ms, class, every, max_restart_delay, ",
         ),
         ("nodes.world.max_restart=3", "there is no 'max_restart' in nodes.world; did you mean 'max_restarts'?"),
+        ("nodes.world.scheduling.polcy=fifo", "no 'polcy' in nodes.world.scheduling; did you mean 'policy'?"),
         ("restart.max_restart=3", "there is no 'max_restart' in restart; did you mean 'max_restarts'?"),
         ("edges.left -> top=3", "there is no 'left -> top' in edges; did you mean 'left -> top.most'?"),
         ("edges.left -> top.most.contxt=3", "there is no 'contxt' in edges.left -> top.most; did you mean 'context'?"),

@@ -233,6 +233,12 @@ MISTAKES = [
     ),
     (
         "    class: support.toy_nodes:Counter",
+        "    scheduling: {polcy: fifo}\n    class: support.toy_nodes:Counter",
+        "    scheduling:",
+        "nodes.world.scheduling.polcy: unknown field; did you mean 'policy'?",
+    ),
+    (
+        "    class: support.toy_nodes:Counter",
         "    clas: support.toy_nodes:Counter",
         "    clas:",
         "nodes.world.clas: unknown field; did you mean 'class'?",
