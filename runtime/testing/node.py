@@ -73,7 +73,9 @@ def check_node(
 
     Raises:
         AssertionError: it does not do what `Node` asks for; says which operator, when and how.
+        HieraxError: no epoch is to be done.
     """
+    check_epochs(epochs)
     made = node if isinstance(node, Node) else node()
     assert isinstance(made, Node), f"expected a Node, or what makes one, got {made!r:.60}"
     if above is None:
@@ -100,6 +102,12 @@ def _check_elements(**given: Inputs) -> None:
         )
         wrong = [place for place, elements in enumerate(epochs) if not isinstance(elements, (tuple, list))]
         assert not wrong, f"{kind}[{wrong[0]}]: expected a tuple of elements, got {shown(epochs[wrong[0]])}"
+
+
+def check_epochs(epochs: int | None) -> None:
+    """Raise `HieraxError` if there are none to be done: a test of nothing never fails."""
+    if epochs is not None and epochs < 1:
+        raise HieraxError(f"epochs: expected a whole number from 1 on, got {epochs!r:.60}")
 
 
 def make_inputs(observations: Inputs, tasks: Inputs, context: Inputs, epochs: int | None = None) -> list[Input]:

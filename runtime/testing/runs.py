@@ -32,7 +32,7 @@ from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import allowance_of
 from hierax.runtime.recording.replayed_epoch import Exchange
 from hierax.runtime.recording.trace import EpochTrace, taking_part
-from hierax.runtime.testing.node import Input, check_node
+from hierax.runtime.testing.node import Input, check_epochs, check_node
 from hierax.runtime.transport.port import MemoryNetwork
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
@@ -92,10 +92,16 @@ def run_given(
         set: changes of the file, as ``--set`` has them, by path.
 
     Raises:
-        HieraxError: the file is wrong, the nodes form no hierarchy, or one failed.
+        HieraxError: the file is wrong, the nodes form no hierarchy, one failed, or no epoch is to be done.
+        TypeError: what is given does not go together.
     """
     if (deployment is None) == (nodes is None):
         raise TypeError("hierax_run: expected a deployment or nodes, one of them")
+    if nodes is not None and set:
+        raise TypeError("hierax_run: set changes a deployment; expected nodes that are made as they are to be")
+    if nodes is None and (edges or world != "world"):
+        raise TypeError("hierax_run: edges and world go with nodes; a deployment has its own")
+    check_epochs(epochs)
     if nodes is not None:
         return run_hierarchy(nodes, edges, world=world, epochs=1 if epochs is None else epochs, seed=seed)
     overrides = [f"{path}={_as_yaml(path, value)}" for path, value in (set or {}).items()]
@@ -224,7 +230,8 @@ class Recorded:
 def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust: bool = False) -> Recorded:
     """The inputs of the node of a name in a recording. At most so many epochs are read; with `trust`, code that it
     names is loaded also where it is not known to be this user's own. Raises `HieraxError` if the file is no recording,
-    is not trusted, has no such node, or lacks something that it was given."""
+    is not trusted, has no such node, or lacks something that it was given, or no epoch is to be read."""
+    check_epochs(epochs)
     recording = Recording.open(file)
     if not recording.info.how_stale.barrier:
         raise HieraxError(f"{file}: its epochs overlap; replay it by `hierax replay --node {name}`")

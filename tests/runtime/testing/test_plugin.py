@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import Edge
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveHierarchy, update
-from hierax.runtime.testing.runs import Ran
+from hierax.runtime.testing.runs import Ran, Recorded
 from hierax.schemas.values import encode_value
 
 
@@ -158,6 +159,27 @@ def test_either_a_file_or_nodes(hierax_run: Callable[..., Ran]) -> None:
     for arguments in ({}, {"deployment": "letters", "nodes": {}}):
         with pytest.raises(TypeError, match="expected a deployment or nodes, one of them"):
             hierax_run(**arguments)
+
+
+@pytest.mark.parametrize(
+    "more", [{"nodes": {"world": Clock()}, "set": {"step": 5}}, {"edges": [Edge("world", "eye")]}, {"world": "eye"}]
+)
+def test_what_would_be_left_out_is_refused(more: dict[str, object], hierax_run: Callable[..., Ran]) -> None:
+    with pytest.raises(TypeError, match=r"hierax_run: (set changes a deployment|edges and world go with nodes)"):
+        hierax_run(*(() if "nodes" in more else ("letters",)), **more)
+
+
+@pytest.mark.parametrize("epochs", [0, -1])
+def test_a_test_of_no_epoch_fails(
+    epochs: int,
+    hierax_run: Callable[..., Ran],
+    hierax_node: Callable[..., list[Step]],
+    hierax_recorded: Callable[..., Recorded],
+) -> None:
+    runs = (partial(hierax_run, "letters"), partial(hierax_run, nodes={"world": Clock()}))
+    for run in (*runs, partial(hierax_node, Follower()), partial(hierax_recorded, "any.mcap", "node")):
+        with pytest.raises(HieraxError, match=f"epochs: expected a whole number from 1 on, got {epochs}"):
+            run(epochs=epochs)
 
 
 def test_what_is_wrong_with_a_file_is_told(hierax_run: Callable[..., Ran]) -> None:
