@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from hierax.runtime.commands.checks import made
 from hierax.runtime.commands.options import File, Format, OutputFormat, Overrides, option
 from hierax.runtime.commands.show import RIGHT, print_json, print_table
+from hierax.runtime.host.streams import printable
 
 if TYPE_CHECKING:
     from hierax.runtime.core.hierarchy import Hierarchy
@@ -103,7 +104,8 @@ def mermaid(roster: "Roster") -> str:
 
 def _print_tables(deployment: "Deployment") -> None:
     content = graph_json(deployment)
-    print(f"{deployment.name}: {deployment.description}".rstrip(": "), end="\n\n")
+    about = f"{deployment.name}: {deployment.description}" if deployment.description else deployment.name
+    print(printable(about, kept=""), end="\n\n")
     nodes, edges = content["nodes"].values(), content["edges"]
     of_nodes, of_edges = _said(_OF_NODES, nodes), _said(_OF_EDGES, edges)
     rows = []

@@ -90,6 +90,11 @@ def test_no_class_is_loaded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "not_there:X" in capsys.readouterr().out
 
 
+def test_a_description_stays_in_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["graph", str(write(tmp_path)), "--set", r'description="\e[2Jone\ntwo:"']) == 0
+    assert capsys.readouterr().out.splitlines()[0] == r"toys: \x1b[2Jone\ntwo:"
+
+
 def test_a_world_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(tmp_path, "hierarchy: one\nworld: w\nnodes:\n  w: {class: a:b}\n")
     assert main(["graph", str(path)]) == 0
