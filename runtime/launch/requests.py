@@ -259,7 +259,7 @@ class Requests:
         return {
             "hierarchy": deployment.name,
             "run": processes.orders.run_id,
-            "file": str(deployment.path),
+            "file": str(deployment.path.resolve()),  # who asks may be in another folder
             "settings": list(processes.orders.overrides),
             "epoch": processes.epoch,
             "roster": processes.version,

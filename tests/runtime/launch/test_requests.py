@@ -1,5 +1,6 @@
 """What a launch does about a change that is asked for."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -62,6 +63,14 @@ def asked(terms: dict[str, Any] | None, name: str = "big", staleness: Staleness 
     audit = SimpleNamespace(settled=lambda change, by, answer: None)
     requests = Requests(cast(RosterSupervisor, fake), cast(Audit, audit))
     return anyio.run(requests._answer, CHANGES, query), done
+
+
+def test_its_file_is_found_from_any_folder() -> None:
+    deployment = SimpleNamespace(name="toys", path=Path("toys.yaml"))
+    orders = SimpleNamespace(deployment=deployment, run_id="aaaa1111", overrides=())
+    fake = SimpleNamespace(orders=orders, changes=PendingChanges(), members={}, epoch=1, version=0)
+    status = Requests(cast(RosterSupervisor, fake), cast(Audit, None))._status()
+    assert status["file"] == str(Path.cwd() / "toys.yaml")
 
 
 def test_the_owner_hears_of_a_change_before_any_process_comes_for_it() -> None:
