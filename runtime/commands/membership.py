@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.deployment.deployment import Document, ProcessTerms
     from hierax.runtime.launch.attached_processes import AttachedHere
-    from hierax.schemas.roster import Attach, Change
+    from hierax.schemas.roster import Attach, Change, Replace
 
 WAIT_S = 60.0  # how long `ps --wait` waits
 LOOK_S = 0.1
@@ -52,20 +52,20 @@ def attach(
     change, terms, document = read_attaching(source, file)
     what = f"attached {', '.join(change.nodes)}"
     if not here:
-        with _explaining(change.nodes, document):
+        with _explaining(change, document):
             answer = ask_for(launch, change, terms)
         return print_epoch(answer, what, options.output_format)
     from hierax.runtime.launch.attached_processes import run_attached
 
     named = _here(source, change, own, options.trust, launch, host)
-    with _explaining(change.nodes, document):
+    with _explaining(change, document):
         offer = ask_for(launch, change, terms, here=True, host=named.host)
     request = offer.get("request")
     if not isinstance(request, str):
         raise CommandError(f"the launch at {launch.endpoint} gave no order, and no reason")
 
     def await_change() -> None:
-        with _explaining(change.nodes, document):
+        with _explaining(change, document):
             answer = _ask(launch, {"ask": "await", "request": request})
         print_epoch(answer, what, options.output_format)
 
@@ -90,7 +90,7 @@ def replace(node: Node, source: Snippet, options: RunOptions) -> int:
     launch = launch_meant(options.run, options.connect, options.key)
     file = deployment_at(launch, options.deployment_file)
     change, terms, document = read_replacing(source, node, file)
-    with _explaining([node], document):
+    with _explaining(change, document):
         answer = ask_for(launch, change, terms)
     return print_epoch(answer, f"replaced {node}", options.output_format)
 
@@ -220,16 +220,18 @@ def _here(
 
 
 @contextmanager
-def _explaining(nodes: Iterable[str], document: "Document") -> Iterator[None]:
+def _explaining(change: "Attach | Replace", document: "Document") -> Iterator[None]:
     """Raise a launch's refusal of new nodes with its place in the document that has them, if it names a path there."""
     from hierax.runtime.transport.launch_client import AnswerError
+    from hierax.schemas.roster import new_nodes
 
     try:
         yield
     except AnswerError as error:
         text = str(error)
-        for name in nodes:
-            text = text.removeprefix(f"{name}: ")  # whose process it was
+        ends = (name for edge in change.edges or () for name in edge.pair)
+        for name in dict.fromkeys((*new_nodes(change), *ends)):
+            text = text.removeprefix(f"{name}: ")  # whose process it was: a neighbour's has functions of edges, too
         where, _, what = text.partition(": ")
         if not document.has_part(where):
             raise

@@ -232,6 +232,9 @@ def test_what_is_refused_of_a_snippet_is_told_with_its_place_there(
     for refusal in (f"extra: {what}", what):  # by its process, or by the launch
         launches.answers["change"] = {"refusal": refusal}
         assert error(capsys, "attach", snippet) == f"{snippet}:2: {what}"
+    function = "edges.left -> extra.sense: there is no 'sen'"
+    launches.answers["change"] = {"refusal": f"left: {function}"}  # in whose process it runs
+    assert error(capsys, "attach", snippet) == f"{snippet}:4: {function}"
     launches.answers["change"] = {"refusal": "left: nodes.left.class: no"}
     assert error(capsys, "attach", "left") == f"{launches.file}:{line_of('left: {class')}: nodes.left.class: no"
     launches.answers["change"] = {"refusal": "extra: observe in epoch 3: KeyError: 'n'"}
