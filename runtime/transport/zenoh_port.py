@@ -143,8 +143,7 @@ class ZenohPort(Port):
         self._links = {later: link for later, link in self._links.items() if later >= version}
         needed = {(kind, peer) for link in self._links.values() for peer, kind in link.rendezvous.lanes_out}
         for lane in self._publishers.keys() - needed:
-            with self._declaring:
-                self._publishers.pop(lane).undeclare()
+            self._undeclare(self._publishers.pop(lane))
             self._lends.pop(lane, None)
             self._forget(lane)
         self._lanes = {
@@ -219,9 +218,17 @@ class ZenohPort(Port):
         """Others go on in the session."""
         beside.pop(self._process).close()
         for declared in (*self._publishers.values(), self._subscriber, *self._signs):
-            with suppress(zenoh.ZError), self._declaring:
-                declared.undeclare()
+            with suppress(zenoh.ZError):
+                self._undeclare(declared)
         self._publishers = {}
+
+    def _undeclare(self, declared: Any) -> None:
+        """Undeclare something now, or, if another thread greets by it at this moment, once nobody refers to it."""
+        try:
+            with self._declaring:
+                declared.undeclare()
+        except RuntimeError:  # "Already borrowed"
+            _log.debug("%s: something is undeclared later, as it is in use", self._name)
 
     def _declare(self, rendezvous: Rendezvous) -> None:
         for peer, kind in rendezvous.lanes_out:

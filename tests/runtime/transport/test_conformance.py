@@ -170,6 +170,29 @@ def test_zenoh_keeps_bytes_up_to_a_bound_for_a_node_that_is_elsewhere_and_has_th
     greet.join()
 
 
+def test_what_another_thread_greets_by_just_now_is_let_go_of_all_the_same(pair: dict[str, ZenohPort]) -> None:
+    low, up = pair["low"], pair["up"]
+    lane = (OBSERVATIONS, "up")
+    publisher, is_under_way = low._publishers[lane], threading.Event()
+
+    def put_some() -> None:
+        with suppress(zenoh.ZError):  # it may be that nobody puts at that moment
+            for _ in range(8):
+                is_under_way.set()
+                publisher.put(bytes(4 << 20))
+
+    putting = threading.Thread(target=put_some)
+    putting.start()
+    try:
+        assert is_under_way.wait(60.0)
+        low.unlink(1 << 20)
+        assert not low._publishers
+    finally:
+        putting.join()
+        low.close()
+        up.close()
+
+
 def test_what_nodes_of_one_process_hand_over_is_bounded_by_bytes_and_the_rest_said_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
