@@ -144,8 +144,7 @@ def _read(arguments: list[str] | None) -> tuple[argparse.Namespace, dict[str, st
         parser.error("--jobs: expected 1 or more")
     if options.launch and options.launched:
         parser.error("--launched compares launches with runs; --launch makes no runs")
-    if options.launched is not None:
-        options.launched = scenes_of(options.launched, parser, "--launched")
+    options.launched = scenes_of(options.launched, parser, "--launched") if options.launched is not None else range(0)
     return options, given_of(options, parser, OWN), scenes
 
 
@@ -162,8 +161,7 @@ def _cell(cell: dict[str, str], scenes: range, kept: Kept, options: argparse.Nam
         missing = len(scenes) - len(rows) if len(spared) <= len(scenes) else 0
         following = range(following.stop, following.stop + missing)
     print(_summed_up(rows, spared), flush=True)
-    launched = () if options.launched is None else options.launched
-    alike = [_is_launched_alike(row, kept) for row in rows + spared if int(row.set_to["scene"]) in launched]
+    alike = [_is_launched_alike(row, kept) for row in rows + spared if int(row.set_to["scene"]) in options.launched]
     least = len(scenes) if options.least is None else options.least
     return all(alike) and sum(row.done for row in rows) >= least
 

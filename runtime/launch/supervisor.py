@@ -156,6 +156,11 @@ async def _run(
     return supervisor.report()
 
 
+def _late(names: Sequence[str], timeout_s: float) -> NodeFailedError:
+    """Why a run ends whose processes take too long to come up."""
+    return NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(names)}")
+
+
 class Supervisor:
     """Starts the processes of a launch, has them run, and ends them."""
 
@@ -271,7 +276,7 @@ class Supervisor:
             with anyio.move_on_after(timeout_s) as patience:
                 await self._recorder.settle()
             if patience.cancelled_caught:
-                self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {self._recorder.name}"))
+                self._break(_late([self._recorder.name], timeout_s))
         if self._recorder.is_up:
             orders.recorders.expect()
 
@@ -311,7 +316,7 @@ class Supervisor:
             await anyio.lowlevel.checkpoint()  # where not all were started, it is broken, and ends here
             late = await self._processes.begin(timeout_s)
             if late:
-                self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
+                self._break(_late(late, timeout_s))
             else:
                 self._up()
             self._start_s = time.perf_counter() - begun_s
