@@ -133,7 +133,7 @@ class Captured(Live):
     """The newest frame of what `cv2.VideoCapture` opens: the number or path of a device, or a URL."""
 
     def __init__(self, target: int | str, timeout_s: float, reopen: bool) -> None:
-        super().__init__(f"camera {target}", timeout_s, reopen)
+        super().__init__(f"camera {_without_secrets(target)}", timeout_s, reopen)
         self._target = target
 
     def _stream(self) -> str:
@@ -177,3 +177,12 @@ class Captured(Live):
         except DataError as error:
             _LOG.warning("%s; the frame is left out", error)
             return None
+
+
+def _without_secrets(target: int | str) -> str:
+    """What is opened, as it may be logged: without a URL's user and password, and what its query says, where many
+    cameras want them."""
+    address, asked, _ = str(target).partition("?")
+    scheme, mark, rest = address.partition("://")
+    host, slash, path = rest.partition("/")
+    return scheme + mark + host.rpartition("@")[2] + slash + path + (asked and "?…")

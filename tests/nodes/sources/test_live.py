@@ -221,3 +221,18 @@ def test_a_long_wait_is_told_early(caplog: pytest.LogCaptureFixture, monkeypatch
     told = "camera http://127.0.0.1:9/none: cannot be opened; expected a device's number, a file, a folder, or a"
     assert told in caplog.text
     assert "it is waited for until source_timeout, 1 s" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("target", "name"),
+    [
+        ("rtsp://me:secret@127.0.0.1:9/live/1", "camera rtsp://127.0.0.1:9/live/1"),
+        ("http://me:se:@cret@[::1]:9", "camera http://[::1]:9"),
+        ("http://127.0.0.1:9/live?user=me&pwd=secret@x", "camera http://127.0.0.1:9/live?…"),
+        ("http://127.0.0.1:9/@live", "camera http://127.0.0.1:9/@live"),
+        ("/dev/video0", "camera /dev/video0"),
+        (0, "camera 0"),
+    ],
+)
+def test_what_is_opened_is_told_without_its_secrets(target: int | str, name: str) -> None:
+    assert Captured(target, 1.0, False).name == name

@@ -180,6 +180,16 @@ def test_a_recording_that_was_cut_off_is_used_and_said(folder: Path, capsys: Cap
     assert out.endswith("12 epochs, 12 digests: all results are alike\n")
 
 
+def test_a_node_that_was_detached_before_is_not_told_to_be_alike(folder: Path, capsys: Capture) -> None:
+    run = ["run", "flawed.yaml", "--epochs", "6", "--at", "4:detach:high", "--record", "less.mcap"]
+    assert main(run) == 0
+    assert main(["replay", "less.mcap", "--node", "high", "--from", "3", "--verify"]) == 0
+    capsys.readouterr()
+    assert main(["replay", "less.mcap", "--node", "high", "--from", "4", "--verify"]) == 1
+    told = "in none of the 3 epochs that were replayed was there a node high; expected some with it"
+    assert capsys.readouterr().err.splitlines()[-1] == f"error: less.mcap: {told}"
+
+
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
