@@ -52,7 +52,8 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     allowance = allowance_of(recording, options.trust)
     extend_import_path(tuple(info.import_paths))
     replaced = _classes(options.classes or ())
-    check_names(recording, [*replaced, *([] if node is None else [node])])
+    wanted = [*replaced, *([] if node is None else [node])]
+    check_names(recording, wanted)
     if options.overrides or replaced:
         recorded = recorded_deployment(info).roster
         for setting in options.overrides or ():
@@ -87,7 +88,7 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
         to = "" if options.last is None else f" to {options.last}"
         which = f" from {options.first}{to}" if options.first > 1 or to else ""
         raise CommandError(f"{file}: there is no epoch to replay{which}")
-    missing = sorted({*replaced, *([] if node is None else [node])} - epochs.nodes)
+    missing = [each for each in wanted if each not in replaying.wirings]
     if missing:
         what = f"in none of the {len(epochs.times_s)} epochs that were replayed was there a node {missing[0]}"
         raise CommandError(f"{file}: {what}; expected some with it")
@@ -180,14 +181,12 @@ class _Paced:
         self._epochs: Iterable[ReplayedEpoch] = replay.epochs()
         self._last: ReplayedEpoch | None = None
         self.times_s: list[float] = []
-        self.nodes: set[str] = set()  # that were there in some epoch
 
     def __iter__(self) -> "Iterator[ReplayedEpoch]":
         begun_s, begun_ns = time.monotonic(), 0
         done_s = time.perf_counter()
         for epoch in self._epochs:
             self.times_s.append(time.perf_counter() - done_s)
-            self.nodes.update(epoch.roster.nodes)
             heard_ns = epoch.recorded.heard_ns
             if self._speed and heard_ns:
                 begun_ns = begun_ns or heard_ns

@@ -50,7 +50,7 @@ class Replay:
     first: int = 1
     last: int | None = None  # of the epochs; None: the last one
     states: dict[str, ActiveNode] = field(default_factory=dict, init=False)  # of the live nodes, after it
-    wirings: dict[str, Wiring] = field(default_factory=dict, init=False)  # of the live nodes, in the last epoch done
+    wirings: dict[str, Wiring] = field(default_factory=dict, init=False)  # of all that were live, in their last epoch
     roster: Roster | None = field(default=None, init=False)  # of the last epoch done
 
     def __post_init__(self) -> None:
